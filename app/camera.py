@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Evidence, ObservedPerson, Scene
+from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, SquarePixels, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
@@ -128,7 +128,7 @@ class CameraSession:
         zones = [replace(zone, polygon=pixels.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(frame.shape, timestamp)
         sightings = self._find(upload, decoded, evidence, timestamp, job)
-        if upload.frame is not None:
+        if decoded.has_frame:
             sightings = [_with_appearance(sighting, frame) for sighting in sightings]
         seen = self._identify(sightings, timestamp, zones)
         self._drop_unseen(timestamp)
@@ -139,16 +139,16 @@ class CameraSession:
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
         return TrackedFrame(
-            decoded.sent,
-            decoded.camera,
-            decoded.warnings,
-            self._frames - 1,
-            timestamp,
-            "new" if self._frames == 1 else "warm",
-            reset,
-            tuple(_as_sent(person, pixels) for person in tracked),
-            events,
-            job.timings_ms(),
+            frame=decoded.sent,
+            camera=decoded.camera,
+            warnings=decoded.warnings,
+            frame_index=self._frames - 1,
+            timestamp=timestamp,
+            session="new" if self._frames == 1 else "warm",
+            reset=reset,
+            persons=tuple(_as_sent(person, pixels) for person in tracked),
+            events=events,
+            timings_ms=job.timings_ms(),
         )
 
     def unconfirmed(self) -> list[Event]:
@@ -198,16 +198,17 @@ class CameraSession:
         job: Job,
     ) -> list[Sighting]:
         """Find people using the tracks' windows, or where the caller says they are."""
-        reads = evidence == "photograph" and upload.frame is not None
-        if reads and upload.mask is None and upload.boxes is None and upload.background is None:
+        shown = decoded.mask, decoded.boxes, decoded.background
+        reads = decoded.has_frame and evidence == "photograph"
+        if reads and all(one is None for one in shown):
             return self._detector.find(decoded, timestamp, self._tracks, job)
-        people = self._estimator.finder.find(decoded, reads, job)
+        people = self._estimator.finder.find(decoded, evidence, job)
         if upload.track_ids is None:
             return [Sighting(person) for person in people]
         return self._named_by_caller(people, upload.track_ids, timestamp)
 
     def _named_by_caller(
-        self, people: Sequence[ObservedPerson], caller_ids: Sequence[str], timestamp: float
+        self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
     ) -> list[Sighting]:
         """Give each person the track that has the caller's identity for them."""
         known = {track.caller_id: track for track in self._tracks}
@@ -221,7 +222,7 @@ class CameraSession:
 
     def _identify(
         self, sightings: Sequence[Sighting], timestamp: float, zones: Sequence[Zone]
-    ) -> list[tuple[ObservedPerson, Track]]:
+    ) -> list[tuple[Person, Track]]:
         """Give each sighting a track, and return the people of confirmed ones, left to right.
 
         People hidden behind another person are included at their expected places.
@@ -231,7 +232,7 @@ class CameraSession:
             track = known or self._begin(sighting, timestamp)
             if track is not None:
                 track.see(sighting, timestamp)
-                seen.append((sighting.observed, track))
+                seen.append((sighting.person, track))
         seen += self._hidden_people(timestamp)
         self._confirm(timestamp, zones)
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
@@ -258,9 +259,9 @@ class CameraSession:
         self._tracks.append(track)
         return track
 
-    def _hidden_people(self, timestamp: float) -> list[tuple[ObservedPerson, Track]]:
+    def _hidden_people(self, timestamp: float) -> list[tuple[Person, Track]]:
         return [
-            (ObservedPerson(box, "track", None, None), track)
+            (Person(box, "track", None, None), track)
             for track in self._tracks
             if track.seen_at < timestamp and (box := self._hidden_box(track, timestamp)) is not None
         ]
@@ -310,7 +311,7 @@ class CameraSession:
 
     def _with_poses(
         self,
-        seen: list[tuple[ObservedPerson, Track]],
+        seen: list[tuple[Person, Track]],
         upload: DecodedUpload,
         timestamp: float,
         n: int,
@@ -318,14 +319,13 @@ class CameraSession:
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
-        scene = Scene(upload.frame, tuple(person for person, _ in seen), upload.camera)
-        persons = self._estimator.with_hypotheses(scene, max(n, DEFAULT_HYPOTHESES), job)
+        people = [person for person, _ in seen]
+        persons = self._estimator.fit(people, upload.camera, max(n, DEFAULT_HYPOTHESES), job)
         tracked = []
         for person, (_, track) in zip(persons, seen, strict=True):
             result, events = track.update(person, timestamp, zones)
             self._events += events
-            shown = replace(result.person, hypotheses=result.person.hypotheses[:n])
-            tracked.append(replace(result, person=shown))
+            tracked.append(replace(result, hypotheses=result.hypotheses[:n]))
         return tuple(tracked)
 
 
@@ -334,11 +334,11 @@ def _as_sent(tracked: TrackedPerson, pixels: SquarePixels) -> TrackedPerson:
     pose = tracked.pose and replace(
         tracked.pose, points_2d=pixels.points_sent(tracked.pose.points_2d)
     )
-    return replace(tracked, person=pixels.person_sent(tracked.person), pose=pose)
+    return replace(pixels.person_sent(tracked), pose=pose)
 
 
 def _with_appearance(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:
-    silhouette = sighting.observed.silhouette
+    silhouette = sighting.person.silhouette
     if silhouette is None:
         return sighting
     return replace(sighting, appearance=appearance_histogram(frame, silhouette))

@@ -54,7 +54,7 @@ class TrackSummary:
         gap_s = timestamp - self.last_timestamp
         if self._posture is not None and gap_s <= MAX_GAP_S:
             self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
-        posture = tracked.person.posture
+        posture = tracked.posture
         self._posture = posture.label if posture else None
         if self._posture is not None:
             self._posture_s.setdefault(self._posture, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -13,10 +14,8 @@ from app.estimation.posture import Facing, estimate_posture, vote_posture
 from app.estimation.results import (
     Estimate,
     Evidence,
-    ObservedPerson,
     Person,
     ProjectedHypothesis,
-    Scene,
 )
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
@@ -80,7 +79,7 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     return Models(detector, reader, load_photograph_models())
 
 
-def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
+def normalise_person(person: Person) -> NormalisedPerson | None:
     """Normalise a person's silhouette; None if there is none."""
     if person.silhouette is None:
         return None
@@ -89,14 +88,14 @@ def normalise_person(person: ObservedPerson) -> NormalisedPerson | None:
 
 def fit_poses(
     index: PoseIndex,
-    observed: ObservedPerson,
+    person: Person,
     normalised: NormalisedPerson | None,
     camera: PinholeCamera,
     n: int,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
     if normalised is None:
-        return Person(observed, None, None, ())
+        return person
     landmarks = normalised.normalised_landmarks()
     found = match(
         index,
@@ -108,15 +107,15 @@ def fit_poses(
     )
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses
-    presence = 1.0 if observed.presence is None else observed.presence
+    presence = 1.0 if person.presence is None else person.presence
     confidences = [presence * one.confidence for one in hypotheses]
     votes = vote_posture([one.posture for one in hypotheses[:VOTERS]], confidences[:VOTERS])
-    posture = estimate_posture(votes, observed.frame_posture, presence, max(confidences))
+    posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(
         np.array([one.points_3d for one in hypotheses[:n]]),
         normalised.points_in_frame(points_normalised),
-        None if landmarks is None else observed.landmarks,
+        None if landmarks is None else person.landmarks,
         camera,
     )
     projected = []
@@ -131,7 +130,7 @@ def fit_poses(
                 pelvis=placed.pelvis[row],
             )
         )
-    return Person(observed, facing, posture, tuple(projected))
+    return replace(person, facing=facing, posture=posture, hypotheses=tuple(projected))
 
 
 class Estimator:
@@ -195,20 +194,13 @@ class Estimator:
             If the images or boxes cannot be used.
         """
         decoded = self.decode(upload, job)
-        scene = self._scene(decoded, upload, job, evidence)
-        persons = self.with_hypotheses(scene, n, job)
-        sent = tuple(job.map(decoded.pixels.person_sent, persons))
-        return Estimate(decoded.sent, decoded.camera, decoded.warnings, sent, job.timings_ms())
+        people = self._find(decoded, evidence, job)
+        return _answer(decoded, self.fit(people, decoded.camera, n, job), job)
 
-    def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Scene:
-        """Find the people of a frame with their silhouettes; raises like :meth:`estimate`."""
-        return self._scene(self.decode(upload, job), upload, job, evidence)
-
-    def _scene(self, decoded: DecodedUpload, upload: Upload, job: Job, evidence: Evidence) -> Scene:
-        landmarks = evidence == "photograph" and upload.frame is not None
-        people = self.finder.find(decoded, landmarks, job)
-        ordered = tuple(sorted(people, key=lambda person: person.box.x))
-        return Scene(decoded.frame, ordered, decoded.camera)
+    def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Estimate:
+        """Find the people of a frame without their poses; raises like :meth:`estimate`."""
+        decoded = self.decode(upload, job)
+        return _answer(decoded, self._find(decoded, evidence, job), job)
 
     def decode(self, upload: Upload, job: Job) -> DecodedUpload:
         """Decode the images of an upload; raises :class:`UploadError`."""
@@ -218,15 +210,26 @@ class Estimator:
         job.checkpoint()
         return decoded
 
-    def with_hypotheses(self, scene: Scene, n: int, job: Job) -> tuple[Person, ...]:
-        """Find the poses that fit people's silhouettes and landmarks."""
-        with job.stage("describe"):
-            normalised = job.map(normalise_person, scene.people)
-        with job.stage("search"):
-            pairs = zip(scene.people, normalised, strict=True)
-            return tuple(job.map(lambda pair: fit_poses(self.index, *pair, scene.camera, n), pairs))
+    def _find(self, decoded: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
+        people = self.finder.find(decoded, evidence, job)
+        return sorted(people, key=lambda person: person.box.x)
 
-    def detect(self, frame: bytes, job: Job) -> tuple[ObservedPerson, ...]:
-        """Find the people of a frame without their poses, highest score first."""
-        scene = self.find_people(Upload(frame), job, evidence="silhouette")
-        return tuple(sorted(scene.people, key=lambda one: -(one.detection_score or 0.0)))
+    def fit(
+        self, people: Sequence[Person], camera: PinholeCamera, n: int, job: Job
+    ) -> list[Person]:
+        """Find the ``n`` nearest distinct poses of people; none without a silhouette."""
+        with job.stage("describe"):
+            normalised = job.map(normalise_person, people)
+        with job.stage("search"):
+            pairs = zip(people, normalised, strict=True)
+            return job.map(lambda pair: fit_poses(self.index, *pair, camera, n), pairs)
+
+
+def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:
+    return Estimate(
+        frame=decoded.sent,
+        camera=decoded.camera,
+        warnings=decoded.warnings,
+        persons=tuple(job.map(decoded.pixels.person_sent, people)),
+        timings_ms=job.timings_ms(),
+    )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
 from app.estimation.poses import NormalisedPerson
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
@@ -68,13 +68,13 @@ def draw_person(frame: Picture, index: PoseIndex, person: Person) -> Picture:
 
 def draw_steps(frame: Picture, person: Person) -> list[Cell]:
     """Draw what is read of a person: window, landmarks, silhouette, normalised silhouette."""
-    observed, (window, to_cell) = person.observed, _window(person)
+    window, to_cell = _window(person)
     photograph = sample_window(frame, window, CELL_PX)
     cells = [("window", sample_window(frame, window, LANDMARK_PX))]
-    cells.append(("landmarks", _landmarks(photograph, to_cell, observed)))
-    if observed.silhouette is not None:
-        cells.append(("silhouette", _warped(observed.silhouette.mask(frame.shape), to_cell)))
-        normalised = NormalisedPerson.of(observed.silhouette, observed.landmarks)
+    cells.append(("landmarks", _landmarks(photograph, to_cell, person)))
+    if person.silhouette is not None:
+        cells.append(("silhouette", _warped(person.silhouette.mask(frame.shape), to_cell)))
+        normalised = NormalisedPerson.of(person.silhouette, person.landmarks)
         enlarged = 255 * normalised.silhouette.repeat(3, axis=0).repeat(3, axis=1)
         title = f"128x48, roll {normalised.roll_deg:.0f} deg"
         cells.append((title, np.repeat(enlarged[..., None], 3, axis=2)))
@@ -83,11 +83,11 @@ def draw_steps(frame: Picture, person: Person) -> list[Cell]:
 
 def draw_poses(frame: Picture, index: PoseIndex, person: Person) -> list[Cell]:
     """Draw for each hypothesis the silhouette of its entry, and its skeleton on the photograph."""
-    silhouette, (window, to_cell) = person.observed.silhouette, _window(person)
+    silhouette, (window, to_cell) = person.silhouette, _window(person)
     cells: list[Cell] = []
     for rank, hypothesis in enumerate(person.hypotheses, start=1):
         if silhouette is not None:
-            normalised = NormalisedPerson.of(silhouette, person.observed.landmarks)
+            normalised = NormalisedPerson.of(silhouette, person.landmarks)
             entry, to_frame = place_entry(index, normalised, hypothesis)
             drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
             cells.append((f"{rank}: entry {hypothesis.entry_id}", drawn))
@@ -100,18 +100,18 @@ def draw_poses(frame: Picture, index: PoseIndex, person: Person) -> list[Cell]:
 
 def _window(person: Person) -> tuple[PersonWindow, NDArray[np.float64]]:
     """Return the window about a person, and the transform from the frame to a cell of it."""
-    window = person.observed.next_window or PersonWindow.about_box(person.observed.whole_box)
+    window = person.next_window or PersonWindow.about_box(person.whole_box)
     return window, np.asarray(cv2.invertAffineTransform(window.to_frame(CELL_PX)), np.float64)
 
 
 def describe(number: int, person: Person) -> str:
     """Return what was decided about a person, in lines of text."""
-    observed, posture = person.observed, person.posture
-    presence = "-" if observed.presence is None else f"{observed.presence:.2f}"
+    posture = person.posture
+    presence = "-" if person.presence is None else f"{person.presence:.2f}"
     reported = "-" if posture is None else f"{posture.label} ({posture.probability:.2f})"
     lines = [
-        f"person {number}: box {observed.box.x:.0f} {observed.box.y:.0f} {observed.box.width:.0f} "
-        f"{observed.box.height:.0f}, detection score {observed.detection_score or 1:.2f}, "
+        f"person {number}: box {person.box.x:.0f} {person.box.y:.0f} {person.box.width:.0f} "
+        f"{person.box.height:.0f}, detection score {person.detection_score or 1:.2f}, "
         f"presence {presence}, posture {reported}",
         "  rank  entry    distance  fused  outline px  moved mm  confidence  clip",
     ]
@@ -124,14 +124,12 @@ def describe(number: int, person: Person) -> str:
     return "\n".join(lines)
 
 
-def _landmarks(
-    photograph: Picture, to_cell: NDArray[np.float64], observed: ObservedPerson
-) -> Picture:
+def _landmarks(photograph: Picture, to_cell: NDArray[np.float64], person: Person) -> Picture:
     picture = photograph // 2
-    if observed.landmarks is None:
+    if person.landmarks is None:
         return picture
-    places = observed.landmarks.positions @ to_cell[:, :2].T + to_cell[:, 2]
-    for place, visibility in zip(places, observed.landmarks.visibility, strict=True):
+    places = person.landmarks.positions @ to_cell[:, :2].T + to_cell[:, 2]
+    for place, visibility in zip(places, person.landmarks.visibility, strict=True):
         colour = (0, round(255 * visibility), round(255 * (1 - visibility)))
         cv2.circle(picture, np.round(place).astype(int).tolist(), 4, colour, -1)
     return picture

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.camera import CameraSession
 from app.estimation.poses import NormalisedPerson
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.photograph import Estimator, fit_poses, normalise_person
 from app.scheduling.job import Job
@@ -50,8 +50,8 @@ def match_silhouettes(
     """Estimate every silhouette by itself."""
 
     def match(silhouette: Silhouette) -> Person:
-        observed = ObservedPerson(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, observed, normalise_person(observed), camera, count)
+        person = Person(silhouette.box, "mask", None, silhouette)
+        return fit_poses(index, person, normalise_person(person), camera, count)
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(match, silhouettes))

@@ -46,11 +46,11 @@ def draw_people(estimator: Estimator, frame: Picture, name: str, *boxes: Box) ->
     """Draw the people of a frame, or in its boxes."""
     drawn: list[Drawn] = []
     for person in estimate(estimator, frame, *boxes):
-        if person.observed.silhouette is not None and person.hypotheses:
+        if person.silhouette is not None and person.hypotheses:
             (_, window), _, (_, silhouette), _ = draw_steps(frame, person)
             (_, entry), (confidence, skeleton) = draw_poses(frame, estimator.index, person)[:2]
             cells = [(name, window), ("", silhouette), ("", entry), (confidence, skeleton)]
-            drawn.append((person.observed.box.height, cells))
+            drawn.append((person.box.height, cells))
     return drawn
 
 

@@ -92,10 +92,10 @@ def best_score(found: Sequence[Person], truth: dict[str, Any], names: list[str])
 
     best = (0.0, 0.0, 0.0)
     for person in found:
-        box = person.observed.box
+        box = person.box
         if not (box.x - 5 <= x <= box.right + 5 and box.y - 5 <= y <= box.bottom + 5):
             continue
-        landmarks = person.observed.landmarks
+        landmarks = person.landmarks
         read = 0.0
         if landmarks is not None:
             own = [LANDMARK_NAMES.index(name) for name in LIMBS]

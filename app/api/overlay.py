@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Estimate, Person, Scene
+from app.estimation.results import Estimate, Person
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
 
@@ -66,7 +66,7 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     # Labels are drawn after all people, so that nobody covers another person's number.
     labels: list[_Label] = []
     for number, person in enumerate(estimate.persons, start=1):
-        box = person.observed.box
+        box = person.box
         text = (
             f"{number} {person.posture.label.replace('_', ' ')}" if person.posture else f"{number}"
         )
@@ -102,7 +102,7 @@ def _draw_person(
     keypoints: KeypointSet,
     line: int,
 ) -> None:
-    box, silhouette = person.observed.box, person.observed.silhouette
+    box, silhouette = person.box, person.silhouette
     # Lines of the width that suits the frame would hide small people.
     thin = min(line, max(1, round(box.height / 100)))
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
@@ -123,7 +123,7 @@ def _draw_person(
 
 def _unsure(person: Person, keypoints: KeypointSet) -> list[bool]:
     """Return for each keypoint whether the photograph does not show it well."""
-    landmarks = person.observed.landmarks
+    landmarks = person.landmarks
     if person.hypotheses[0].confidence < DASHED_BELOW:
         return [True] * len(keypoints.names)
     if landmarks is None:
@@ -180,12 +180,12 @@ def write_text(
     return corner[0] + int(cv2.getTextSize(text, _FONT, scale, line)[0][0])
 
 
-def draw_labels(scene: Scene) -> NDArray[np.uint8]:
+def draw_labels(estimate: Estimate) -> NDArray[np.uint8]:
     """Draw the label image ``(H, W)`` uint8: 0 background, k = the k-th person, counted from 1."""
-    labels = np.zeros(scene.frame.shape[:2], np.uint8)
-    for label, found in enumerate(scene.people, start=1):
-        if found.silhouette is not None:
-            found.silhouette.paint(labels, label)
+    labels = np.zeros(estimate.frame.shape[:2], np.uint8)
+    for label, person in enumerate(estimate.persons, start=1):
+        if person.silhouette is not None:
+            person.silhouette.paint(labels, label)
     return labels
 
 

@@ -146,9 +146,7 @@ def pose_reply(
     )
 
 
-def frame_fields(
-    seen: Estimate | TrackedFrame, index: PoseIndex, form: ReplyForm
-) -> dict[str, Any]:
+def frame_fields(seen: Estimate, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
     """Write the fields of a frame besides its people."""
     height, width = seen.frame.shape[:2]
     return {
@@ -202,9 +200,9 @@ def person_fields(
     person: Person, frame_shape: tuple[int, ...], camera: PinholeCamera, form: ReplyForm
 ) -> dict[str, Any]:
     """Write the fields of a person in a single frame."""
-    observed, facing, posture = person.observed, person.facing, person.posture
-    box, score = observed.box, observed.detection_score
-    silhouette, landmarks = observed.silhouette, observed.landmarks
+    facing, posture = person.facing, person.posture
+    box, score = person.box, person.detection_score
+    silhouette, landmarks = person.silhouette, person.landmarks
     return {
         "box": schemas.Box(
             x=round(box.x, 2),
@@ -213,7 +211,7 @@ def person_fields(
             height=max(MIN_BOX_PX, round(box.height, 2)),
         ),
         "detection_score": None if score is None else round(score, 4),
-        "source": observed.source,
+        "source": person.source,
         "silhouette": silhouette and _silhouette(silhouette, frame_shape, form),
         "observed_keypoints": landmarks and _observed(landmarks, form.observed),
         "facing": None
@@ -447,7 +445,7 @@ def _tracked_person(
     form: ReplyForm,
 ) -> tracking_schemas.TrackedPerson:
     return tracking_schemas.TrackedPerson(
-        **person_fields(tracked.person, frame_shape, camera, form),
+        **person_fields(tracked, frame_shape, camera, form),
         track_id=tracked.track_id,
         age_frames=tracked.age_frames,
         pose=_smoothed_pose(tracked.pose, form) if tracked.pose else None,

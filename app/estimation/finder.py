@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import ObservedPerson, Source
+from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
@@ -49,15 +49,16 @@ class PeopleFinder:
     min_person_px: float | None
     max_persons: int
 
-    def find(self, upload: DecodedUpload, landmarks: bool, job: Job) -> list[ObservedPerson]:
+    def find(self, upload: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
         """Find the people of a frame with their silhouettes, in no particular order.
 
         Parameters
         ----------
-        landmarks : bool
+        evidence : str
             Whether to return landmarks. They may be read without being returned, because they also
             separate people from the background.
         """
+        landmarks = evidence == "photograph" and upload.has_frame
         if upload.mask is not None:
             return self._people_in_mask(upload.mask, upload, landmarks, job)
         background = self._background(upload)
@@ -106,7 +107,7 @@ class PeopleFinder:
         background: BackgroundSegmenter | None,
         landmarks: bool,
         job: Job,
-    ) -> list[ObservedPerson]:
+    ) -> list[Person]:
         """Read detections, drop repeated ones of the same body, and cut out the silhouettes."""
         frame = upload.frame
         readings: list[PoseReading] = []
@@ -145,11 +146,11 @@ class PeopleFinder:
 
     def _people_in_mask(
         self, mask: LabelImage, upload: DecodedUpload, landmarks: bool, job: Job
-    ) -> list[ObservedPerson]:
+    ) -> list[Person]:
         with job.stage("segment"):
             silhouettes = silhouettes_from_labels(mask)
         if not landmarks:
-            return [ObservedPerson(one.box, "mask", None, one) for one in silhouettes]
+            return [Person(one.box, "mask", None, one) for one in silhouettes]
         with job.stage("keypoints"):
             marked = [Detection(one.box, 1.0) for one in silhouettes]
             readings = self.read(upload.frame, marked, job)
@@ -167,14 +168,14 @@ class PeopleFinder:
         score: float | None,
         silhouette: Silhouette | None,
         reading: PoseReading | None,
-    ) -> ObservedPerson:
+    ) -> Person:
         """Combine what is known about a person; landmarks may show that the body is truncated."""
         if reading is None:
-            return ObservedPerson(box, source, score, silhouette)
+            return Person(box, source, score, silhouette)
         landmarks = attenuate_visibility_at_border(reading, frame.shape)
         if silhouette is not None and end_beyond_border(box, landmarks, frame.shape):
             silhouette = replace(silhouette, truncated=True)
-        seen = ObservedPerson(
+        seen = Person(
             box, source, score, silhouette, landmarks, reading.presence, reading.next_window
         )
         if reading.network_pass is None:
@@ -190,7 +191,7 @@ class PeopleFinder:
         )
 
 
-def without_landmarks(person: ObservedPerson) -> ObservedPerson:
+def without_landmarks(person: Person) -> Person:
     """A person without landmarks and what is judged from them."""
     return replace(person, landmarks=None, frame_posture=None, trust=None)
 

@@ -1,4 +1,4 @@
-"""Results of the estimator: people as observed, and the poses that fit them."""
+"""Results of the estimator: people as observed, with the poses that fit them."""
 
 from __future__ import annotations
 
@@ -25,61 +25,6 @@ Evidence = Literal["photograph", "silhouette"]
 """What poses are estimated from: silhouette and landmarks, or the silhouette alone."""
 
 
-@dataclass(frozen=True)
-class ObservedPerson:
-    """A person as seen in the photograph or in the caller's mask.
-
-    Parameters
-    ----------
-    box : Box
-        Pixels of the frame.
-    detection_score : float or None
-        Probability of a person, from the detector; None if the caller marked the people.
-    silhouette : Silhouette or None
-        Silhouette in the frame; None if none was found in a caller's box.
-    landmarks : Landmarks or None
-        Pixels of the frame; None if they were not read.
-    presence : float or None
-        Probability, from the landmark network, that a person is there; None if it did not run.
-    next_window : PersonWindow or None
-        Where the landmark network would look for the person in the next frame.
-    frame_posture : FramePosture or None
-        Probabilities of postures, from the landmarks; None if they were not read.
-    trust : Trust or None
-        How far to trust the landmarks; None if they were not read.
-    """
-
-    box: Box
-    source: Source
-    detection_score: float | None
-    silhouette: Silhouette | None
-    landmarks: Landmarks | None = None
-    presence: float | None = None
-    next_window: PersonWindow | None = None
-    frame_posture: FramePosture | None = None
-    trust: Trust | None = None
-
-    @property
-    def whole_box(self) -> Box:
-        """The silhouette's box, or the detection's if there is no silhouette."""
-        return self.box if self.silhouette is None else self.silhouette.box
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A frame with square pixels and the people in it, ordered left to right.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR; black if the caller sent a mask alone.
-    """
-
-    frame: NDArray[np.uint8]
-    people: tuple[ObservedPerson, ...]
-    camera: PinholeCamera
-
-
 @dataclass(frozen=True, kw_only=True)
 class ProjectedHypothesis(Hypothesis):
     """A hypothesis with the label of its entry, placed in front of the camera.
@@ -101,20 +46,67 @@ class ProjectedHypothesis(Hypothesis):
 
 @dataclass(frozen=True)
 class Person:
-    """An observed person and the poses fitted to them; no poses without a silhouette."""
+    """A person of a frame: as observed and, once poses are fitted, with these.
 
-    observed: ObservedPerson
-    facing: Facing | None
-    posture: EstimatedPosture | None
-    hypotheses: tuple[ProjectedHypothesis, ...]
+    Parameters
+    ----------
+    box : Box
+        Pixels of the frame.
+    detection_score : float or None
+        Probability of a person, from the detector; None if the caller marked the people.
+    silhouette : Silhouette or None
+        Silhouette in the frame; None if none was found in a caller's box.
+    landmarks : Landmarks or None
+        Pixels of the frame; None if they were not read.
+    presence : float or None
+        Probability, from the landmark network, that a person is there; None if it did not run.
+    next_window : PersonWindow or None
+        Where the landmark network would look for the person in the next frame.
+    frame_posture : FramePosture or None
+        Probabilities of postures, from the landmarks; None if they were not read.
+    trust : Trust or None
+        How far to trust the landmarks; None if they were not read.
+    facing : Facing or None
+    posture : EstimatedPosture or None
+    hypotheses : tuple of ProjectedHypothesis
+        Best first. Without a silhouette there are none, and neither facing nor posture.
+    """
+
+    box: Box
+    source: Source
+    detection_score: float | None
+    silhouette: Silhouette | None
+    landmarks: Landmarks | None = None
+    presence: float | None = None
+    next_window: PersonWindow | None = None
+    frame_posture: FramePosture | None = None
+    trust: Trust | None = None
+    facing: Facing | None = None
+    posture: EstimatedPosture | None = None
+    hypotheses: tuple[ProjectedHypothesis, ...] = ()
+
+    @property
+    def whole_box(self) -> Box:
+        """The silhouette's box, or the detection's if there is no silhouette."""
+        return self.box if self.silhouette is None else self.silhouette.box
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A frame as sent, its camera, its persons left to right, and milliseconds by stage.
+    """The people of a frame.
 
-    The camera's pixels are square; persons are in pixels of the frame. Warnings are those of
-    :class:`app.vision.images.Photograph`.
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        As sent, BGR; black if the caller sent a mask alone.
+    camera : PinholeCamera
+        Camera of the frame with square pixels.
+    warnings : tuple of str
+        Warnings about the frame; see :class:`app.vision.images.Photograph`.
+    persons : tuple of Person
+        Ordered left to right, in pixels of the frame as sent.
+    timings_ms : dict
+        Milliseconds by stage, and ``total``.
     """
 
     frame: NDArray[np.uint8]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.results import Person
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
@@ -27,6 +27,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette, silhouette_from_mask
 
 Pixels = TypeVar("Pixels", bound=NDArray[Any])
+AnyPerson = TypeVar("AnyPerson", bound=Person)
 
 
 @dataclass(frozen=True)
@@ -94,18 +95,8 @@ class SquarePixels:
         """Boxes of the frame as sent, in square pixels."""
         return [_between(*self.points(_corners(box))) for box in sent] if self.changes else [*sent]
 
-    def person_sent(self, person: Person) -> Person:
-        """A person found in square pixels, in pixels of the frame as sent."""
-        if not self.changes:
-            return person
-        hypotheses = [
-            replace(one, points_2d=self.points_sent(one.points_2d)) for one in person.hypotheses
-        ]
-        observed = self.observed_sent(person.observed)
-        return replace(person, observed=observed, hypotheses=tuple(hypotheses))
-
-    def observed_sent(self, person: ObservedPerson) -> ObservedPerson:
-        """An observed person in pixels of the frame as sent, for answers only.
+    def person_sent(self, person: AnyPerson) -> AnyPerson:
+        """A person found in square pixels, in pixels of the frame as sent, for answers only.
 
         The window for the next frame stays in square pixels, since it is read in them.
         """
@@ -116,7 +107,12 @@ class SquarePixels:
         )
         silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
         box = _between(*self.points_sent(_corners(person.box)))
-        return replace(person, box=box, silhouette=silhouette, landmarks=landmarks)
+        hypotheses = tuple(
+            replace(one, points_2d=self.points_sent(one.points_2d)) for one in person.hypotheses
+        )
+        return replace(
+            person, box=box, silhouette=silhouette, landmarks=landmarks, hypotheses=hypotheses
+        )
 
     def _silhouette_sent(self, silhouette: Silhouette) -> Silhouette | None:
         mask = silhouette.mask(self.square).view(np.uint8)
@@ -251,6 +247,8 @@ class DecodedUpload:
         The frame as sent, BGR; black if the caller sent a mask alone.
     frame : (H, W, 3) uint8 array
         The frame with square pixels.
+    has_frame : bool
+        Whether the caller sent a frame, or a mask alone.
     background : (H, W, 3) uint8 array or None
         BGR.
     boxes : list of Box or None
@@ -263,6 +261,7 @@ class DecodedUpload:
 
     sent: NDArray[np.uint8]
     frame: NDArray[np.uint8]
+    has_frame: bool
     mask: LabelImage | None
     background: NDArray[np.uint8] | None
     boxes: list[Box] | None
@@ -320,6 +319,7 @@ class UploadDecoder:
         return DecodedUpload(
             sent=frame,
             frame=pixels.resize(frame),
+            has_frame=upload.frame is not None,
             mask=mask,
             background=None if background is None else pixels.resize(background),
             boxes=None if boxes is None else pixels.boxes(boxes),

@@ -125,7 +125,7 @@ async def track_frame(
         runtime.metrics.camera_frames.labels(tracked.session).inc()
         runtime.metrics.observe_events(tracked.events)
         runtime.metrics.observe_stages(tracked.timings_ms)
-        runtime.metrics.observe_persons(person.person for person in tracked.persons)
+        runtime.metrics.observe_persons(tracked.persons)
         reply = track_reply(tracked, camera.camera_id, estimator.index, query.form)
         return reply.model_dump_json().encode()
 

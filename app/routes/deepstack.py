@@ -9,7 +9,7 @@ from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
 from app.api.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
-from app.estimation.upload import UploadError
+from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
 from app.http.identity import (
     NamesCamera,
@@ -89,7 +89,7 @@ async def detect_deepstack(
 
     def work(job: Job) -> list[DeepstackPrediction]:
         try:
-            people = estimator.detect(upload.image, job)
+            people = estimator.find_people(Upload(upload.image), job, "silhouette").persons
         except UploadError as error:
             # The field is called frame in the estimator, image by DeepStack's clients.
             detail = f"image{str(error).removeprefix(error.field)}"
@@ -103,7 +103,7 @@ async def detect_deepstack(
                 x_max=round(found.box.right),
                 y_max=round(found.box.bottom),
             )
-            for found in people
+            for found in sorted(people, key=lambda one: -(one.detection_score or 0.0))
             if (found.detection_score or 0.0) >= upload.min_confidence
         ]
 

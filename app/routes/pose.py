@@ -10,6 +10,7 @@ from fastapi.responses import Response
 from app.api.overlay import draw_labels, draw_overlay, encode_png
 from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
+from app.estimation.results import Evidence
 from app.http.identity import NamesCamera, RequireKey
 from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, NoQuery, OverlayQuery, PoseQuery
@@ -115,9 +116,11 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        scene = estimator.find_people(upload, job)
+        # What a background shows may be one body in parts, which the landmarks tell.
+        evidence: Evidence = "silhouette" if upload.background is None else "photograph"
+        found = estimator.find_people(upload, job, evidence)
         runtime.metrics.observe_stages(job.stage_ms)
-        return encode_png(draw_labels(scene))
+        return encode_png(draw_labels(found))
 
     content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="image/png")

@@ -166,7 +166,7 @@ async def analyse_sequence(
 
     def write(tracked: TrackedFrame, number: int) -> bytes:
         metrics.observe_stages(tracked.timings_ms)
-        metrics.observe_persons(person.person for person in tracked.persons)
+        metrics.observe_persons(tracked.persons)
         return sequence_line(sequence_frame_reply(tracked, number, estimator.index, query.form))
 
     def is_ending() -> bool:

@@ -276,7 +276,7 @@ class ActionRecogniser:
         votes = np.mean([votes for _, votes in self._window], axis=0)
         clarity, factors = 1.0, np.ones(len(self._model.actions))
         if posture is not None:
-            clarity = min(1.0, person.observed.whole_box.height / FULL_WEIGHT_PX)
+            clarity = min(1.0, person.whole_box.height / FULL_WEIGHT_PX)
             factors = posture_factors(self._model.actions, posture)
         probabilities = factors * self._model.probabilities(features, votes, clarity)
         probabilities /= probabilities.sum()

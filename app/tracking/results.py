@@ -8,9 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Person
-from app.vision.images import ImageWarning
-from app.vision.optics import PinholeCamera
+from app.estimation.results import Estimate, Person
 
 EventName = Literal["entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised"]
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
@@ -84,14 +82,12 @@ class Event:
     dwell_s: float | None = None
 
 
-@dataclass(frozen=True)
-class TrackedPerson:
-    """A person of a frame and the track they belong to.
+@dataclass(frozen=True, kw_only=True)
+class TrackedPerson(Person):
+    """A person of a frame and the track they belong to; facing and posture are the track's.
 
     Parameters
     ----------
-    person : Person
-        The frame's own estimate, with facing and posture of the track.
     track_id : int
         Unique within a camera session.
     age_frames : int
@@ -106,7 +102,6 @@ class TrackedPerson:
         The identity that the caller gave the person's box, if any.
     """
 
-    person: Person
     track_id: int
     age_frames: int
     pose: SmoothedPose | None
@@ -115,18 +110,14 @@ class TrackedPerson:
     caller_track_id: str | None = None
 
 
-@dataclass(frozen=True)
-class TrackedFrame:
+@dataclass(frozen=True, kw_only=True)
+class TrackedFrame(Estimate):
     """A frame of a camera session.
 
     Parameters
     ----------
-    frame : (H, W, 3) uint8 array
-        As sent, BGR.
-    camera : PinholeCamera
-        Camera of the frame with square pixels.
-    warnings : tuple of str
-        Warnings about the frame; see :class:`app.vision.images.Photograph`.
+    persons : tuple of TrackedPerson
+        Ordered left to right, in pixels of the frame as sent.
     frame_index : int
         Number of the frame in the session, from 0.
     timestamp : float
@@ -135,21 +126,13 @@ class TrackedFrame:
         ``new`` if this frame began the session.
     reset : str or None
         Why all tracks were dropped before this frame, as a sentence.
-    persons : tuple of TrackedPerson
-        Ordered left to right.
     events : tuple of Event
         What began, ended or happened at this frame.
-    timings_ms : dict
-        Milliseconds by stage, and ``total``.
     """
 
-    frame: NDArray[np.uint8]
-    camera: PinholeCamera
-    warnings: tuple[ImageWarning, ...]
+    persons: tuple[TrackedPerson, ...]
     frame_index: int
     timestamp: float
     session: SessionState
     reset: str | None
-    persons: tuple[TrackedPerson, ...]
     events: tuple[Event, ...]
-    timings_ms: dict[str, float]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import Facing, vote_posture
-from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
+from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
 from app.tracking.results import SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
@@ -149,7 +149,7 @@ class _Frame:
         distances, clarity = None, 0.0
         if person.facing is not None and person.facing.evidence == "image":
             distances = np.array([placed.distance for placed in hypotheses])
-            height = person.observed.whole_box.height
+            height = person.whole_box.height
             clarity = min(1.0, height / FULL_WEIGHT_PX) ** 2
         return cls(
             hypotheses,
@@ -194,9 +194,9 @@ class _Place:
     centroid: NDArray[np.float64] | None
 
     @classmethod
-    def of(cls, observed: ObservedPerson) -> _Place:
-        silhouette = observed.silhouette
-        return cls(observed.whole_box.foot, None if silhouette is None else silhouette.centroid)
+    def of(cls, person: Person) -> _Place:
+        silhouette = person.silhouette
+        return cls(person.whole_box.foot, None if silhouette is None else silhouette.centroid)
 
     def minus(self, before: _Place) -> NDArray[np.float64]:
         """How far ``(2,)`` the person has moved since."""
@@ -233,14 +233,14 @@ class PoseSmoother:
         if not person.hypotheses or person.facing is None:
             return None
         frame = _Frame.of(person, self._smoothing.max_states)
-        velocity = self._velocity(frame, person.observed, timestamp)
+        velocity = self._velocity(frame, person, timestamp)
         px_per_m = frame.px_per_m()
         heading = self._add_states(frame, velocity, timestamp)
         states = self._states[-1]
         probabilities = np.exp(states.log_forward)
         probabilities /= probabilities.sum()
         pose, features = self._pose(frame, heading, probabilities, timestamp)
-        self._last = pose, _Place.of(person.observed)
+        self._last = pose, _Place.of(person)
         walks = self._headings.walking_weight(velocity) > 0
         return Smoothed(
             pose,
@@ -255,12 +255,12 @@ class PoseSmoother:
             features,
         )
 
-    def extrapolate(self, observed: ObservedPerson, timestamp: float) -> SmoothedPose | None:
+    def extrapolate(self, person: Person, timestamp: float) -> SmoothedPose | None:
         """The last pose, moved to where the person is in a later frame without hypotheses.
 
         Parameters
         ----------
-        observed : ObservedPerson
+        person : Person
             The person in that frame.
         timestamp : float
             Seconds.
@@ -279,19 +279,17 @@ class PoseSmoother:
         odds = log_odds(pose.confidence) - LOST_PER_S * age_s
         return replace(
             pose,
-            points_2d=pose.points_2d + _Place.of(observed).minus(before),
+            points_2d=pose.points_2d + _Place.of(person).minus(before),
             confidence=probability_of(odds),
         )
 
-    def _velocity(
-        self, frame: _Frame, observed: ObservedPerson, timestamp: float
-    ) -> GroundVelocity:
+    def _velocity(self, frame: _Frame, person: Person, timestamp: float) -> GroundVelocity:
         """Measure the velocity using the scales and elevations of the hypotheses."""
         weights = frame.weights()
         elevations_deg = np.array([placed.label.elevation_deg for placed in frame.hypotheses])
         return self._ground.update(
             timestamp,
-            observed.whole_box,
+            person.whole_box,
             frame.px_per_m(),
             float(weights @ elevations_deg),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture, Facing
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.results import Person
 from app.tracking.actions import ActionRecogniser
 from app.tracking.events import EventDetector, HipHeight, PostureFilter, Reliability
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
@@ -33,14 +33,14 @@ class Sighting:
 
     Parameters
     ----------
-    observed : ObservedPerson
+    person : Person
     appearance : (80,) float32 array or None
         Colours; None where there is no photograph or no silhouette.
     track : Track or None
         The track in whose window the person was read, or that the caller named.
     """
 
-    observed: ObservedPerson
+    person: Person
     appearance: NDArray[np.float32] | None = None
     track: Track | None = None
 
@@ -87,7 +87,7 @@ class BoxFilter:
         Parameters
         ----------
         box : Box
-            As observed.
+            As person.
         timestamp : float
             Seconds.
         whole : bool
@@ -142,12 +142,12 @@ class Track:
     """
 
     def __init__(self, sighting: Sighting, timestamp: float) -> None:
-        observed = sighting.observed
+        person = sighting.person
         self.track_id: int | None = None
         """None until the track is confirmed."""
         self.caller_id: str | None = None
         """The identity that the caller gave the person's box."""
-        self.box_filter = BoxFilter(observed.box, timestamp)
+        self.box_filter = BoxFilter(person.box, timestamp)
         self.age_frames = 0
         self.sightings = self._windows = 0
         self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
@@ -155,7 +155,7 @@ class Track:
         """Highest probability of a person given by the detector; 1 if the caller said so."""
         self.seen_at = timestamp
         """Time of the last sighting, seconds."""
-        self.next_window: PersonWindow | None = observed.next_window
+        self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
         self.appearance = sighting.appearance
         self._smoother = PoseSmoother()
@@ -186,20 +186,20 @@ class Track:
 
     def see(self, sighting: Sighting, timestamp: float) -> None:
         """Add where the person is in this frame."""
-        observed = sighting.observed
-        truncated = observed.silhouette is not None and observed.silhouette.truncated
+        person = sighting.person
+        truncated = person.silhouette is not None and person.silhouette.truncated
         if self.sightings:
-            self.box_filter.update(observed.box, timestamp, whole=not truncated)
+            self.box_filter.update(person.box, timestamp, whole=not truncated)
         self.sightings += 1
         elapsed, self.seen_at = timestamp - self.seen_at, timestamp
-        if observed.source not in ("background", "track"):
-            self.score = max(self.score, _score(observed))
-        if observed.source == "detector" and observed.trust is not None:
+        if person.source not in ("background", "track"):
+            self.score = max(self.score, _score(person))
+        if person.source == "detector" and person.trust is not None:
             self._windows += 1
             gain = 1 - math.exp(-elapsed / WINDOW_MEAN_S)
-            odds, mean = log_odds(observed.trust.person), self._shown_odds or 0.0
+            odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
-        self.next_window = observed.next_window
+        self.next_window = person.next_window
         if self.appearance is None:
             self.appearance = sighting.appearance
         # A partly hidden person would take on the colours of the person in front.
@@ -243,16 +243,16 @@ class Track:
                 track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
             )
         if smoothed is None or shares is None:
-            return self._extrapolated(person.observed, timestamp), self._crossed(crossings)
+            pose = self._smoother.extrapolate(person, timestamp)
+            return self._tracked(person, pose), self._crossed(crossings)
         events = self._event_detector.update(
             track_id,
             timestamp,
             shares,
-            _reliability(person.observed, smoothed.pose),
+            _reliability(person, smoothed.pose),
             hip_height(person, smoothed),
             rests=is_rest(self._zone_watch.zones),
         )
-        person = replace(person, facing=self._facing, posture=self._posture)
         tracked = self._tracked(person, smoothed.pose)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
 
@@ -260,26 +260,18 @@ class Track:
         self, person: Person, smoothed: Smoothed, timestamp: float
     ) -> NDArray[np.float64]:
         """Update facing, posture and action; return the shares of postures of this frame."""
-        observed = person.observed
         self._facing = smoothed.facing
         self._posture, shares = self._posture_filter.update(
             timestamp,
             smoothed.votes,
-            observed.frame_posture,
-            1.0 if observed.presence is None else observed.presence,
-            observed.whole_box,
-            _weight(observed),
+            person.frame_posture,
+            1.0 if person.presence is None else person.presence,
+            person.whole_box,
+            _weight(person),
         )
-        posture = self._posture if observed.landmarks is not None else None
+        posture = self._posture if person.landmarks is not None else None
         self._action = self._recogniser.update(timestamp, person, smoothed, posture)
         return shares
-
-    def _extrapolated(self, observed: ObservedPerson, timestamp: float) -> TrackedPerson:
-        """Keep the pose of the last frames, at the place where the person is now."""
-        pose = self._smoother.extrapolate(observed, timestamp)
-        if pose is None:
-            return self._tracked(Person(observed, None, None, ()), None)
-        return self._tracked(Person(observed, self._facing, self._posture, ()), pose)
 
     def unconfirmed(self) -> list[Event]:
         """Events that had begun to show at the last frame but were not certain."""
@@ -321,36 +313,37 @@ class Track:
         return tuple(zone.name for zone in self._zone_watch.zones)
 
     def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
+        known = {} if pose is None else {"facing": self._facing, "posture": self._posture}
         return TrackedPerson(
-            person,
-            self._known_id(),
-            self.age_frames,
-            pose,
-            self._action,
-            self._zone_names(),
-            self.caller_id,
+            **vars(person) | known,
+            track_id=self._known_id(),
+            age_frames=self.age_frames,
+            pose=pose,
+            action=self._action,
+            zones=self._zone_names(),
+            caller_track_id=self.caller_id,
         )
 
 
-def _weight(observed: ObservedPerson) -> float:
+def _weight(person: Person) -> float:
     """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
-    presence = 1.0 if observed.presence is None else observed.presence
-    right = 1.0 if observed.trust is None else observed.trust.right
+    presence = 1.0 if person.presence is None else person.presence
+    right = 1.0 if person.trust is None else person.trust.right
     right = math.pow(right, RELIABILITY_EXPONENT)
     return 1 - presence * (1 - right)
 
 
-def _reliability(observed: ObservedPerson, pose: SmoothedPose) -> Reliability:
+def _reliability(person: Person, pose: SmoothedPose) -> Reliability:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
-    if observed.presence is None:
+    if person.presence is None:
         return Reliability(pose.confidence, pose.confidence)
-    weight, presence = _weight(observed), max(observed.presence, _score(observed))
-    return Reliability(weight * observed.presence, weight * presence)
+    weight, presence = _weight(person), max(person.presence, _score(person))
+    return Reliability(weight * person.presence, weight * presence)
 
 
-def _score(observed: ObservedPerson) -> float:
+def _score(person: Person) -> float:
     """The detector's probability of a person; 1 if the caller said where people are."""
-    return 1.0 if observed.detection_score is None else observed.detection_score
+    return 1.0 if person.detection_score is None else person.detection_score
 
 
 def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
@@ -447,7 +440,7 @@ def _costs(
         reach = min(FAR, NEAR + NEAR_PER_S * elapsed)
         max_growth = math.log(MAX_GROWTH) * (1 + elapsed)
         for column, sighting in enumerate(sightings):
-            box = sighting.observed.box
+            box = sighting.person.box
             away = _distance(predicted, box) / max(_size(predicted), _size(box))
             # When a person bends quickly, the box shrinks faster than the predicted size, which is
             # averaged over frames; the last observed box is then closer in size.

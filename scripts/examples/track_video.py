@@ -71,7 +71,7 @@ class Annotator:
 
 
 def _draw_skeleton_and_box(picture: Picture, tracked: TrackedPerson) -> None:
-    box = tracked.person.observed.box
+    box = tracked.box
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
     colour = _colour(tracked.track_id)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, 2)
@@ -82,7 +82,7 @@ def _draw_skeleton_and_box(picture: Picture, tracked: TrackedPerson) -> None:
 
 def _draw_captions(picture: Picture, tracked: TrackedPerson, letter: int) -> None:
     """Write the track's number above the box, posture and action below it."""
-    box, posture, action = tracked.person.observed.box, tracked.person.posture, tracked.action
+    box, posture, action = tracked.box, tracked.posture, tracked.action
     left, small = max(0, round(box.x)), letter * 2 // 3
     corner = (left, max(letter + 2, round(box.y) - 4))
     write_text(picture, str(tracked.track_id), corner, letter, _colour(tracked.track_id))

@@ -192,7 +192,7 @@ def posture_figures(tracks: Sequence[Track]) -> dict[str, dict[str, float]]:
     for track in tracks:
         postures = PostureFilter()
         for row, (person, smoothed) in enumerate(zip(track.people, track.smoothed, strict=True)):
-            box, timestamp = person.observed.box, float(track.timestamps[row])
+            box, timestamp = person.box, float(track.timestamps[row])
             over_time, _ = postures.update(timestamp, smoothed.votes, None, 1.0, box)
             labels = [p.label if p else "unclear" for p in (person.posture, over_time)]
             truth.append(track.posture[row])
@@ -241,7 +241,7 @@ def count_falls(track: Track, rate: int) -> int:
         smoothed = smoother.update(person, timestamp)
         if smoothed is None:
             continue
-        box = person.observed.box
+        box = person.box
         _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
         reliability = Reliability(*2 * [smoothed.pose.confidence])
         events = detector.update(1, timestamp, shares, reliability, hip_height(person, smoothed))

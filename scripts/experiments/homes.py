@@ -89,8 +89,8 @@ def watch(estimator: Estimator, film: HomeFilm) -> Watched:
         seen.events += [(at, one.event) for one in reply.events if one.state != "end"]
         truth = film.truth(at)
         if truth is not None and reply.persons:
-            largest = max(reply.persons, key=lambda one: one.person.observed.box.area)
-            found = largest.person.posture
+            largest = max(reply.persons, key=lambda one: one.box.area)
+            found = largest.posture
             seen.answers.append((truth, found.label if found else None))
     return seen
 

@@ -149,7 +149,7 @@ def sport(estimator: Estimator, athletes: Iterable[Athlete]) -> dict[str, Figure
 
 def score_athlete(one: Athlete, person: Person) -> tuple[float, float, float]:
     """Return 1 for the annotated person, and the right shares of landmarks and of joints."""
-    box, landmarks = person.observed.box, person.observed.landmarks
+    box, landmarks = person.box, person.landmarks
     x, y = one.limbs[_TRUNK].mean(axis=0)
     near = (box.x - 5 <= x <= box.right + 5) and (box.y - 5 <= y <= box.bottom + 5)
     if not near or landmarks is None or not person.hypotheses:
@@ -182,9 +182,9 @@ def cut_off(estimator: Estimator, photographs: Sequence[Photograph]) -> dict[str
     for photograph in tqdm(photographs, desc="cut off"):
         tallest = max(photograph.boxes, key=lambda box: box.height)
         whole = _person_at(tallest, estimate(estimator, encoded(photograph.frame)))
-        if tallest.height < MIN_CUT_PX or whole is None or whole.observed.landmarks is None:
+        if tallest.height < MIN_CUT_PX or whole is None or whole.landmarks is None:
             continue
-        truth = whole.observed.landmarks.positions[_LANDMARKS]
+        truth = whole.landmarks.positions[_LANDMARKS]
         for end, share in CUTS:
             name = f"{end}_{100 * share:.0f}"
             row = score_cut(estimator, photograph.frame, tallest, truth, end, share)
@@ -203,13 +203,13 @@ def score_cut(
     box = Box(tallest.x, max(tallest.y - top, -0.5), tallest.width, tallest.height - missing)
     cut = np.ascontiguousarray(frame[top:bottom])
     person = _person_at(box, estimate(estimator, encoded(cut)))
-    if person is None or not person.hypotheses or person.observed.silhouette is None:
+    if person is None or not person.hypotheses or person.silhouette is None:
         return 0.0, np.nan, np.nan, 0.0
     apart = person.hypotheses[0].points_2d[LIMB_ROWS] + [0, top] - truth
     right = np.linalg.norm(apart, axis=1) < NEAR_OF_HEIGHT * tallest.height
     inside = (truth[:, 1] > top) & (truth[:, 1] < bottom)
     seen, unseen = (float(right[k].mean()) if k.any() else np.nan for k in (inside, ~inside))
-    return 1.0, seen, unseen, float(person.observed.silhouette.truncated)
+    return 1.0, seen, unseen, float(person.silhouette.truncated)
 
 
 def summarise_cuts(rows: NDArray[np.float64]) -> Figures:
@@ -226,7 +226,7 @@ def summarise_cuts(rows: NDArray[np.float64]) -> Figures:
 
 def _person_at(box: Box, people: Sequence[Person]) -> Person | None:
     """Return the person in a box."""
-    overlaps = [person.observed.box.iou(box) for person in people]
+    overlaps = [person.box.iou(box) for person in people]
     if max(overlaps, default=0.0) < SAME_PERSON:
         return None
     return people[int(np.argmax(overlaps))]
@@ -247,14 +247,12 @@ def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
             single.append((errors[0], min(errors)))
             low.append(is_low(person))
         seen = [
-            one
-            for one in track(session, frame, number / 60).persons
-            if one.pose and one.person.hypotheses
+            one for one in track(session, frame, number / 60).persons if one.pose and one.hypotheses
         ]
         if seen:
-            one = max(seen, key=lambda other: other.person.observed.box.height)
+            one = max(seen, key=lambda other: other.box.height)
             assert one.pose is not None
-            first = one.person.hypotheses[0]
+            first = one.hypotheses[0]
             identities.add(one.track_id)
             tracked.append((error_mm(first.points_3d, truth), error_mm(one.pose.points_3d, truth)))
     first_mm, best_mm = np.mean(single, axis=0).tolist()
@@ -315,7 +313,7 @@ def fall_videos(estimator: Estimator, folder: Path) -> dict[str, object]:
                 alarms |= alarms_begin(result)
             if number < upright_until:
                 seen.append(bool(result.persons))
-                low += [is_low(one.person) for one in result.persons]
+                low += [is_low(one) for one in result.persons]
         detected.update(alarms)
     return {
         "alarms": {
@@ -391,10 +389,10 @@ def watch(estimator: Estimator, file: Path) -> Watched:
             continue
         result = track(session, frame, number / UPFALL_FPS)
         watched.alarms |= alarms_begin(result)
-        watched.low.append(any(is_low(one.person) for one in result.persons))
+        watched.low.append(any(is_low(one) for one in result.persons))
         actor = _actor(result.persons)
         if actor is not None and activity.postures:
-            posture, action = actor.person.posture, actor.action
+            posture, action = actor.posture, actor.action
             label = "unclear" if posture is None else posture.label
             watched.postures.append(np.nan if label == "unclear" else label in activity.postures)
             watched.actions.append(np.nan if action is None else action.label in activity.actions)
@@ -403,8 +401,8 @@ def watch(estimator: Estimator, file: Path) -> Watched:
 
 def _actor(persons: Sequence[TrackedPerson]) -> TrackedPerson | None:
     """Return the largest person apart from the onlooker."""
-    rest = [one for one in persons if one.person.observed.box.x < ONLOOKER_FROM_PX]
-    return max(rest, key=lambda one: one.person.observed.box.area, default=None)
+    rest = [one for one in persons if one.box.x < ONLOOKER_FROM_PX]
+    return max(rest, key=lambda one: one.box.area, default=None)
 
 
 def _right_or_none(answers: Sequence[float]) -> Figures:
@@ -424,8 +422,8 @@ def street(estimator: Estimator, video: Path, frames: int = STREET_FRAMES) -> Fi
     left, right = POINT_NAMES.index("left_shoulder"), POINT_NAMES.index("right_shoulder")
     for number, frame in tqdm(itertools.islice(read_frames(video), frames), desc="street"):
         for one in track(session, frame, number / 10).persons:
-            if one.person.posture is not None:
-                postures.append(one.person.posture.label)
+            if one.posture is not None:
+                postures.append(one.posture.label)
             if one.pose is not None:
                 x = one.pose.points_3d[:, 0]
                 sides.setdefault(one.track_id, []).append(float(np.sign(x[left] - x[right])))

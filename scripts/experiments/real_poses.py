@@ -11,7 +11,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.poses import NormalisedPerson
-from app.estimation.results import ObservedPerson, Person, Scene
+from app.estimation.results import Person
 from app.photograph import Estimator, fit_poses
 from app.scheduling.job import Job
 from app.vision.geometry import Box
@@ -124,7 +124,7 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     Landmarks alone are used as for people who are not seen whole: candidates are the entries
     nearest to the landmarks, and the silhouette is the frame of reference.
     """
-    person = ObservedPerson(shown.box, "boxes", None, shown.silhouette)
+    person = Person(shown.box, "boxes", None, shown.silhouette)
     camera = PinholeCamera.of_frame(shown.frame.shape)
     if way != SILHOUETTE:
         reading = estimator.models.reader.read(shown.frame, shown.box)
@@ -136,8 +136,7 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
         if normalised.normalised_landmarks() is None:
             return None
         return fit_poses(estimator.index, person, normalised, camera, DEFAULT_HYPOTHESES)
-    scene = Scene(shown.frame, (person,), camera)
-    return estimator.with_hypotheses(scene, DEFAULT_HYPOTHESES, Job())[0]
+    return estimator.fit([person], camera, DEFAULT_HYPOTHESES, Job())[0]
 
 
 def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:

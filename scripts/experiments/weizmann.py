@@ -278,7 +278,7 @@ def watch(film: Film, estimator: Estimator) -> Session:
                 label = person.action.label
                 frames.append(label)
                 sums[label] = sums.get(label, 0.0) + person.action.probability
-            votes.update(h.label.action for h in person.person.hypotheses[:1])
+            votes.update(h.label.action for h in person.hypotheses[:1])
     return Session(
         max(sums, key=sums.__getitem__, default=None),
         tuple(frames),

@@ -81,7 +81,7 @@ def processes(estimator: Estimator, street: Street) -> dict[str, Process]:
             Upload(frame=film[number % len(film)]), number / 10, DEFAULT_HYPOTHESES, job
         )
 
-    silhouette = estimator.find_people(Upload(street.frame, boxes=[street.box]), Job()).people[0]
+    silhouette = estimator.find_people(Upload(street.frame, boxes=[street.box]), Job()).persons[0]
     assert silhouette.silhouette is not None
     mask = encode(".png", silhouette.silhouette.mask(street.busy[0].shape).astype(np.uint8))
     films = {

@@ -275,7 +275,7 @@ def match_films(
             smoother.update(person, timestamp)
             for person, timestamp in zip(people, filmed.timestamps.tolist(), strict=True)
         ]
-        seen = [replace(one, observed=replace(one.observed, silhouette=None)) for one in people]
+        seen = [replace(one, silhouette=None) for one in people]
         posture = classify_postures(filmed.world, BODY_UP, filmed.speeds)
         tracks.append(Track(
             filmed.clip, filmed.subject, filmed.action, filmed.timestamps, posture, tuple(seen),

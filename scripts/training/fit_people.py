@@ -145,7 +145,7 @@ def confidence_samples(
     right: list[bool] = []
 
     def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        normalised = normalise_person(person.observed)
+        normalised = normalise_person(person)
         if normalised is None:
             return
         to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
@@ -160,10 +160,10 @@ def confidence_samples(
         people = [
             person
             for person in estimate(estimator, one.frame)
-            if _holds(person.observed.whole_box, middle) and person.hypotheses
+            if _holds(person.whole_box, middle) and person.hypotheses
         ]
         if people and one.visible.any():
-            largest = max(people, key=lambda other: other.observed.whole_box.area)
+            largest = max(people, key=lambda other: other.whole_box.area)
             add(largest, one.limbs, one.visible)
     folder = shared / "real" / "pennfudan"
     for street in tqdm(read_street_people(folder, read_pennfudan(folder)), desc="street people"):

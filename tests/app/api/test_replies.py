@@ -38,7 +38,13 @@ def frame(estimate: Estimate) -> TrackedFrame:
     (person,) = estimate.persons
     best = person.hypotheses[0]
     pose = SmoothedPose(best.points_3d, best.points_2d, 0.91234567, best.entry_id)
-    seen = replace(person, facing=Facing(0.75, "motion"))
+    tracked = TrackedPerson(
+        **vars(person) | {"facing": Facing(0.75, "motion")},
+        track_id=3,
+        age_frames=41,
+        pose=pose,
+        action=RecognisedAction("walk", 0.875),
+    )
     return TrackedFrame(
         frame=estimate.frame,
         camera=estimate.camera,
@@ -47,7 +53,7 @@ def frame(estimate: Estimate) -> TrackedFrame:
         timestamp=12.34567,
         session="warm",
         reset="the frames had another size",
-        persons=(TrackedPerson(seen, 3, 41, pose, RecognisedAction("walk", 0.875)),),
+        persons=(tracked,),
         events=(EVENT,),
         timings_ms=estimate.timings_ms,
     )

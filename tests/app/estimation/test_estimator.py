@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation import finder
-from app.estimation.results import ObservedPerson, Person, Scene
+from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
@@ -50,13 +50,13 @@ def poses(person: Person) -> list[tuple[int, bool, float]]:
 
 
 def mask_of(person: Person, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    assert person.observed.silhouette is not None
-    return person.observed.silhouette.mask(shape).astype(np.uint8)
+    assert person.silhouette is not None
+    return person.silhouette.mask(shape).astype(np.uint8)
 
 
 def landmarks_of(person: Person) -> Landmarks:
-    assert person.observed.landmarks is not None
-    return person.observed.landmarks
+    assert person.landmarks is not None
+    return person.landmarks
 
 
 @pytest.mark.parametrize("concurrency", [1, 2, 3, 64])
@@ -94,9 +94,9 @@ def test_silhouette_evidence_ignores_the_photograph(
     found = persons(estimator, upload, "silhouette")
     assert found
     for person in found:
-        assert person.observed.source == source
-        assert person.observed.landmarks is None
-        if person.observed.silhouette is None:
+        assert person.source == source
+        assert person.landmarks is None
+        if person.silhouette is None:
             continue
         assert person.facing is not None and person.facing.evidence == "none"
         for placed in person.hypotheses:
@@ -108,9 +108,7 @@ LEAN_DEG = {1: 90.0, 2: 180.0, 3: -90.0}
 """Clockwise rotation of a picture that so many clockwise quarter turns make."""
 
 
-def turned(
-    person: Person, shape: tuple[int, ...], quarter_turns: int, seen: bool
-) -> ObservedPerson:
+def turned(person: Person, shape: tuple[int, ...], quarter_turns: int, seen: bool) -> Person:
     """A person as observed in the frame that is turned clockwise."""
     mask = np.rot90(mask_of(person, shape), -quarter_turns).astype(bool)
     silhouette = silhouette_from_mask(mask, segmenter="mask", truncated=False)
@@ -121,7 +119,7 @@ def turned(
         landmarks.visibility,
         rotate_clockwise(landmarks.metres, LEAN_DEG.get(quarter_turns, 0.0)),
     )
-    return ObservedPerson(silhouette.box, "detector", 0.9, silhouette, read if seen else None)
+    return Person(silhouette.box, "detector", 0.9, silhouette, read if seen else None)
 
 
 # Upside down, silhouettes are not wide: only landmarks tell.
@@ -136,8 +134,7 @@ def test_rotated_person_has_the_same_poses(
     def answer(turns: int) -> Person:
         frame = np.ascontiguousarray(np.rot90(street, -turns))
         camera = PinholeCamera.of_frame(frame.shape)
-        scene = Scene(frame, (turned(walker, shape, turns, seen),), camera)
-        return estimator.with_hypotheses(scene, 5, Job())[0]
+        return estimator.fit([turned(walker, shape, turns, seen)], camera, 5, Job())[0]
 
     upright, lying = answer(0), answer(quarter_turns)
     assert upright.facing is not None and lying.facing is not None
@@ -186,8 +183,8 @@ def test_box_without_a_silhouette_has_no_poses(
 ) -> None:
     monkeypatch.setattr(finder, "silhouettes_of", lambda _, boxes, *__, **___: [None] * len(boxes))
     (person,) = persons(estimator, Upload(png(street), boxes=(WALKER,)))
-    assert person.observed.box == WALKER
-    assert person.observed.silhouette is None
+    assert person.box == WALKER
+    assert person.silhouette is None
     assert (person.facing, person.hypotheses) == (None, ())
     # What the detector finds without one was hardly a person.
     assert persons(estimator, Upload(png(street))) == []
@@ -204,8 +201,8 @@ def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[boo
     found = []
     for evidence in ("silhouette", "photograph"):
         (person,) = persons(estimator, Upload(png(frame), boxes=(box,)), evidence)
-        assert person.observed.silhouette is not None
-        found.append(person.observed.silhouette.truncated)
+        assert person.silhouette is not None
+        found.append(person.silhouette.truncated)
     return found[0], found[1]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import Facing, posture_of, vote_posture
-from app.estimation.results import ObservedPerson, Person, ProjectedHypothesis
+from app.estimation.results import Person, ProjectedHypothesis
 from app.vision.geometry import Box
 from index.posture import Posture
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
@@ -64,7 +64,7 @@ def person_of(
     height = 1.7 * PX_PER_M
     box = Box(centre[0] - 30, centre[1] - height / 2, 60, height)
     votes = vote_posture([placed.posture for placed in hypotheses], confidences)
-    posture = posture_of(votes)
     return Person(
-        ObservedPerson(box, "detector", 0.9, None), Facing(0.5, "none"), posture, tuple(hypotheses)
-    )
+        box, "detector", 0.9, None,
+        facing=Facing(0.5, "none"), posture=posture_of(votes), hypotheses=tuple(hypotheses),
+    )  # fmt: skip

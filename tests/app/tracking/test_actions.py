@@ -132,7 +132,7 @@ def test_limbs_of_small_people_count_little(
     box = Box(0, 0, height / 2, height)
     for step, pose in enumerate(swinging(2)):
         one = person_of([pose], [0.8])
-        one = replace(one, observed=replace(one.observed, box=box))
+        one = replace(one, box=box)
         result = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
     assert result is not None and result.label == best
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.results import ObservedPerson
+from app.estimation.results import Person
 from app.tracking.track import Sighting, Track, appearance_distance, appearance_histogram, associate
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
@@ -17,7 +17,7 @@ RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
 
 
 def sighting(box: Box, appearance: NDArray[np.float32] | None = None) -> Sighting:
-    return Sighting(ObservedPerson(box, "detector", 0.9, None), appearance)
+    return Sighting(Person(box, "detector", 0.9, None), appearance)
 
 
 def at(x: float, appearance: NDArray[np.float32] | None = None) -> Sighting:

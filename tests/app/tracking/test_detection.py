@@ -4,23 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from app.camera import CameraSession
-from app.estimation.upload import DecodedUpload, SquarePixels
+from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import SEARCH_EVERY_S, TrackedPeopleDetector
 from app.tracking.track import Sighting, Track
-from app.vision.images import decode_image
-from app.vision.optics import PinholeCamera
 from tests.app.tracking.drawn import ColourDetector, ColourReader, draw, ids, send
-
-
-def frame(*people: tuple[int, int]) -> NDArray[np.uint8]:
-    return decode_image(draw(*people), max_pixels=10**6).pixels
 
 
 def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
@@ -32,10 +24,9 @@ def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
         result = send(session, step / 20, (0, lefts[0]), (1, lefts[1]))
         assert ids(result) == [1, 2]
         for tracked, left in zip(result.persons, lefts, strict=True):
-            observed = tracked.person.observed
-            assert observed.silhouette is not None and observed.landmarks is not None
-            assert observed.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
-            assert len(tracked.person.hypotheses) == 3
+            assert tracked.silhouette is not None and tracked.landmarks is not None
+            assert tracked.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
+            assert len(tracked.hypotheses) == 3
     assert detector.searches == 1 + 1 // SEARCH_EVERY_S
 
 
@@ -60,14 +51,8 @@ def test_a_detection_larger_than_the_body_moves_no_box(
         detector.room = 60 * (step % 2)
         result = send(session, step / 2, (0, 100))
         assert ids(result) == [1]
-        box = result.persons[0].person.observed.box
+        box = result.persons[0].box
         assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
-
-
-def decoded(pixels: NDArray[np.uint8]) -> DecodedUpload:
-    shape = pixels.shape
-    camera, square = PinholeCamera.of_frame(shape), SquarePixels.of_frame(shape, 1.0)
-    return DecodedUpload(pixels, pixels, None, None, None, camera, square)
 
 
 def followed(
@@ -78,13 +63,14 @@ def followed(
     All tracks have the window of the first frame, and each is expected somewhere.
     """
     people = TrackedPeopleDetector(drawn.finder)
-    (first,) = people.find(decoded(frame((0, 100))), 0.0, [], Job())
+    before, now = (drawn.decode(Upload(draw((0, x))), Job()) for x in (100, left))
+    (first,) = people.find(before, 0.0, [], Job())
     assert first.track is None
-    boxes = [replace(first.observed.box, x=place) for place in expected_at]
-    tracks = [Track(Sighting(replace(first.observed, box=box)), 0.0) for box in boxes]
+    boxes = [replace(first.person.box, x=place) for place in expected_at]
+    tracks = [Track(Sighting(replace(first.person, box=box)), 0.0) for box in boxes]
     for number, track in enumerate(tracks):
         track.track_id = number if confirmed else None
-    sightings = people.find(decoded(frame((0, left))), 0.1, tracks, Job())
+    sightings = people.find(now, 0.1, tracks, Job())
     return [None if one.track is None else tracks.index(one.track) for one in sightings]
 
 

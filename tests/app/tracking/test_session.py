@@ -76,7 +76,7 @@ def test_detected_people_enter_with_the_first_frame(session: CameraSession) -> N
 def test_crossing_people_keep_their_identities(session: CameraSession) -> None:
     for step in range(40):
         result = send(session, step / 10, (0, 20 + 6 * step), (1, 260 - 6 * step))
-        boxes = {tracked.track_id: tracked.person.observed.box.x for tracked in result.persons}
+        boxes = {tracked.track_id: tracked.box.x for tracked in result.persons}
     assert boxes == {1: pytest.approx(20 + 6 * 39, abs=6), 2: pytest.approx(260 - 6 * 39, abs=6)}
 
 
@@ -187,7 +187,7 @@ def test_the_caller_may_say_where_people_are(session: CameraSession, kind: str) 
         }[kind]
         results.append(session.process(upload, step / 10, 3, Job(), "silhouette"))
     assert ids(results[-1]) == [1]
-    assert results[-1].persons[0].person.observed.source == kind.split()[0]
+    assert results[-1].persons[0].source == kind.split()[0]
     assert [ids(result) for result in results].count([1]) >= 3
 
 
@@ -197,7 +197,7 @@ def test_a_person_keeps_the_identity_that_the_caller_gave(session: CameraSession
         boxes = tuple(Box(left - 0.5, 59.5, 30, PERSON) for left in lefts)
         upload = Upload(draw((0, 50), (1, 200)), boxes=boxes, track_ids=("17", "b"))
         result = session.process(upload, step / 10, 3, Job())
-        places = {one.caller_track_id: one.person.observed.box.x for one in result.persons}
+        places = {one.caller_track_id: one.box.x for one in result.persons}
         assert places == {"17": lefts[0] - 0.5, "b": lefts[1] - 0.5}
         assert {one.caller_track_id: one.track_id for one in result.persons} == {"17": 1, "b": 2}
 
@@ -213,11 +213,11 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
     for step in range(8):
         with_boxes(step / 10, 100, 180 - 10 * step)
     hidden = with_boxes(0.8, 105)
-    assert [(one.track_id, one.person.observed.source) for one in hidden.persons] == [
+    assert [(one.track_id, one.source) for one in hidden.persons] == [
         (1, "track"), (2, "boxes")
     ]  # fmt: skip
-    person, pose = hidden.persons[0].person, hidden.persons[0].pose
-    assert person.observed.box.x == pytest.approx(99.5, abs=1) and person.hypotheses == ()
+    person, pose = hidden.persons[0], hidden.persons[0].pose
+    assert person.box.x == pytest.approx(99.5, abs=1) and person.hypotheses == ()
     assert pose is not None
     for step in range(9, 27):
         assert ids(with_boxes(step / 10, 105)) == [1, 2]

@@ -110,7 +110,7 @@ def test_noise_is_smoothed_away() -> None:
 
 def test_without_hypotheses_there_is_no_pose() -> None:
     person = person_of([seen_from(0.0)], [0.5])
-    hidden = Person(person.observed, None, None, ())
+    hidden = replace(person, facing=None, posture=None, hypotheses=())
     smoother = PoseSmoother()
     assert smoother.update(person, 0.0) is not None
     assert smoother.update(hidden, 0.1) is None
@@ -120,17 +120,17 @@ def test_without_hypotheses_there_is_no_pose() -> None:
 def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
     smoother = PoseSmoother()
     person = person_of([seen_from(0.0)], [0.5])
-    assert smoother.extrapolate(person.observed, 0.0) is None
+    assert smoother.extrapolate(person, 0.0) is None
     before = smoother.update(person, 0.0)
     assert before is not None
-    box = person.observed.box
-    moved = replace(person.observed, box=replace(box, x=box.x + 8, y=box.y - 3))
+    box = person.box
+    moved = replace(person, box=replace(box, x=box.x + 8, y=box.y - 3))
     extrapolated = smoother.extrapolate(moved, EXTRAPOLATED_S)
     assert extrapolated is not None
     np.testing.assert_allclose(extrapolated.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
     np.testing.assert_array_equal(extrapolated.points_3d, before.pose.points_3d)
     assert extrapolated.confidence < before.pose.confidence
-    assert smoother.extrapolate(person.observed, EXTRAPOLATED_S + 0.1) is None
+    assert smoother.extrapolate(person, EXTRAPOLATED_S + 0.1) is None
 
 
 def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box() -> None:
@@ -141,10 +141,8 @@ def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box
     reaching = Silhouette(crop, 100, 50, "mask", truncated=False)
     person = person_of([seen_from(0.0)], [0.5])
     smoother = PoseSmoother()
-    before = smoother.update(
-        replace(person, observed=replace(person.observed, silhouette=standing)), 0.0
-    )
-    extrapolated = smoother.extrapolate(replace(person.observed, silhouette=reaching), 0.1)
+    before = smoother.update(replace(person, silhouette=standing), 0.0)
+    extrapolated = smoother.extrapolate(replace(person, silhouette=reaching), 0.1)
     assert before is not None and extrapolated is not None
     shift = extrapolated.points_2d - before.pose.points_2d
     expected = reaching.centroid - standing.centroid

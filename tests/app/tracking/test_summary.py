@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from app.estimation.posture import EstimatedPosture
-from app.estimation.results import ObservedPerson, Person
 from app.film import MAX_GAP_S, VideoSummary
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.vision.geometry import Box
@@ -17,9 +16,11 @@ from index.posture import Posture
 def person(
     track_id: int, posture: Posture | None, action: RecognisedAction | None = None
 ) -> TrackedPerson:
-    observed = ObservedPerson(Box(0, 0, 10, 20), "detector", 0.9, None)
-    voted = EstimatedPosture(posture, 0.9) if posture else None
-    return TrackedPerson(Person(observed, None, voted, ()), track_id, 1, None, action)
+    return TrackedPerson(
+        Box(0, 0, 10, 20), "detector", 0.9, None,
+        posture=EstimatedPosture(posture, 0.9) if posture else None,
+        track_id=track_id, age_frames=1, pose=None, action=action,
+    )  # fmt: skip
 
 
 def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:

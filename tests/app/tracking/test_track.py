@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.estimation.results import ObservedPerson, Person
+from app.estimation.results import Person
 from app.tracking.track import BoxFilter, Sighting, Track
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
@@ -20,7 +20,7 @@ BOX = Box(100, 100, 30, 80)
 
 def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Sighting:
     trust = None if person is None else Trust(person, right=person / 2)
-    observed = ObservedPerson(BOX, "detector", score, None, trust=trust)
+    observed = Person(BOX, "detector", score, None, trust=trust)
     return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
 
 
@@ -100,11 +100,11 @@ def test_the_appearance_follows_those_who_are_whole() -> None:
 def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
     corridor = Zone("corridor", "watch", np.array([[0.0, 0], [400, 0], [400, 400], [0, 400]]))
     person = person_of([seen_from(0.0)], [0.9], postures=["arms_raised"])
-    track = Track(Sighting(person.observed), 0.0)
+    track = Track(Sighting(person), 0.0)
     track.caller_id = "17"
     events = [track.confirm(4, 0.0, [corridor])]
     for step in range(20):
-        track.see(Sighting(person.observed), step / 10)
+        track.see(Sighting(person), step / 10)
         tracked, new = track.update(person, step / 10, [corridor])
         events += new
         assert tracked.pose is not None
@@ -120,14 +120,14 @@ def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
 
 def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() -> None:
     person = person_of([seen_from(0.0)], [0.9])
-    hidden = Person(person.observed, None, None, ())
-    track = track_of(Sighting(person.observed))
+    hidden = replace(person, facing=None, posture=None, hypotheses=())
+    track = track_of(Sighting(person))
     track.confirm(1, 0.0, [])
     shown, _ = track.update(person, 0.0)
     kept, _ = track.update(hidden, 0.5)
-    assert kept.pose is not None and kept.person.posture == shown.person.posture
+    assert kept.pose is not None and kept.posture == shown.posture
     lost, _ = track.update(hidden, 9.0)
-    assert lost.pose is None and lost.person.posture is None
+    assert lost.pose is None and lost.posture is None
 
 
 def test_only_a_confirmed_track_has_results() -> None:
