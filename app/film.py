@@ -17,13 +17,13 @@ from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.video.reader import VideoError, VideoFrame, VideoReader
-from index.posture import Posture
+from index.posture import PostureName
 from index.search import UnavailableError
 
 MAX_GAP_S = 2.0
 """A person unseen for longer is not assumed to keep a posture."""
 
-PostureLabel = Posture | Literal["unclear"]
+PostureLabel = PostureName | Literal["unclear"]
 
 
 @dataclass

@@ -189,7 +189,7 @@ def outline_distances(
     lengths = np.maximum(on_outline.sum(axis=1), 1)
     from_others = on_outline[1:] @ distances[0] / lengths[1:]
     to_others = distances[1:] @ on_outline[0] / lengths[0]
-    return np.asarray((from_others + to_others) / 2)
+    return (from_others + to_others) / 2
 
 
 def pack(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -214,7 +214,7 @@ def _resampling_matrix(size: int, source_size: int, scale: float) -> NDArray[np.
     # Rows are normalised by the sum in an unbounded source, so that the border fades to 0.
     lattice = np.arange(-int(np.ceil(support)) - 1, int(np.ceil(support)) + 2)
     total = _tents(centres - np.floor(centres), lattice, support).sum(axis=1, keepdims=True)
-    return np.asarray(weights / total)
+    return weights / total
 
 
 def _tents(
@@ -260,7 +260,7 @@ def _outlines(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
         borderType=cv2.BORDER_CONSTANT,
         borderValue=0,
     ).reshape(padded.shape)
-    return np.asarray((padded != eroded)[:, :height])
+    return (padded != eroded)[:, :height]
 
 
 def _distance_transforms(outlines: NDArray[np.bool_]) -> NDArray[np.float32]:

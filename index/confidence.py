@@ -120,5 +120,4 @@ def fused_agreement(distances: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _sigmoid(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:
-    probability: NDArray[np.float64] = 1.0 / (1.0 + np.exp(-np.clip(log_odds, -30, 30)))
-    return probability
+    return 1.0 / (1.0 + np.exp(-np.clip(log_odds, -30, 30)))

@@ -43,12 +43,12 @@ def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
     # Component to the right of the trunk, if the trunk points up.
     aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
-    return np.asarray(np.rad2deg(np.arctan2(-across[..., 2], aside)))
+    return np.rad2deg(np.arctan2(-across[..., 2], aside))
 
 
 def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Whether the camera is in front of the person, for each azimuth."""
-    return np.asarray(np.cos(np.deg2rad(azimuths_deg)) > 0)
+    return np.cos(np.deg2rad(azimuths_deg)) > 0
 
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
@@ -78,7 +78,7 @@ def heading_shares(
     """
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     agree = faces_camera(azimuths_deg[:, None] - voters_deg)
-    return np.asarray(np.clip(agree @ weights / weights.sum(), 0, 1))
+    return np.clip(agree @ weights / weights.sum(), 0, 1)
 
 
 def nearest_of_both_facings(

@@ -28,7 +28,7 @@ from index.confidence import RIGHT_BELOW_PX, fused_confidences
 from index.facing import azimuth_deg, front_share, heading_shares, nearest_of_both_facings
 from index.landmarks import Agreement, NormalisedLandmarks, fit_to_landmarks, fused_distances
 from index.modes import Modes, candidate_weights, find_modes, mode_weights
-from index.posture import POSTURES, Posture, camera_up, classify_postures, lying_elevation_deg
+from index.posture import POSTURES, PostureName, camera_up, classify_postures, lying_elevation_deg
 from index.ranking import NetworkRanking
 from index.search import NearestEntries
 from index.skeleton import (
@@ -60,7 +60,7 @@ SPARE_MODES = 4
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class PoseHypothesis:
     """A skeleton that may have cast the silhouette, and how well it fits.
 
     Parameters
@@ -103,7 +103,7 @@ class Hypothesis:
     confidence: float
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
-    posture: Posture = "standing"
+    posture: PostureName = "standing"
     rotation_deg: float = 0.0
     tilt_deg: float = 0.0
     distance: float = 0.0
@@ -123,7 +123,7 @@ class Match:
 
     Parameters
     ----------
-    hypotheses : list of Hypothesis
+    hypotheses : list of PoseHypothesis
         With ascending distances. With landmarks, some face the opposite way to the first, and a
         nearer one after such a hypothesis gets its distance.
     features : (N, F) float64 array
@@ -135,7 +135,7 @@ class Match:
         requested.
     """
 
-    hypotheses: list[Hypothesis]
+    hypotheses: list[PoseHypothesis]
     features: NDArray[np.float64]
     front_probability: float
 
@@ -243,7 +243,9 @@ class _Query:
             return None
         return NetworkRanking.of(self.index.reranker, self.silhouette)
 
-    def batch(self, n: int, at_least: float = 0.0) -> tuple[list[Hypothesis], NDArray[np.float64]]:
+    def batch(
+        self, n: int, at_least: float = 0.0
+    ) -> tuple[list[PoseHypothesis], NDArray[np.float64]]:
         """Find about ``n`` hypotheses, nearest first, and the features of their confidences.
 
         No distance is smaller than ``at_least``, the distance of the last one of earlier batches.
@@ -291,7 +293,7 @@ class _Query:
         points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
         postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
         hypotheses = [
-            Hypothesis(*values)
+            PoseHypothesis(*values)
             for values in zip(
                 centres.entry_ids.tolist(),
                 centres.mirrored.tolist(),
@@ -382,7 +384,7 @@ class _Query:
         entry_ids: NDArray[np.int64],
         points_3d: NDArray[np.float64],
         tilt_deg: NDArray[np.float64],
-    ) -> list[Posture]:
+    ) -> list[PostureName]:
         """Postures of skeletons interpolated about entries, in a camera that is not rolled."""
         entries = self.index.entries[entry_ids]
         tilted = np.abs(tilt_deg) > _MAX_STANDING_TILT_DEG

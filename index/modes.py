@@ -192,7 +192,7 @@ def candidate_weights(distances: NDArray[np.float64], fall_off: float) -> NDArra
     1/e.
     """
     nearest = max(distances[0], _MIN_NEAREST_SHARE * distances[-1])
-    return np.asarray(np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9)))
+    return np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9))
 
 
 def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -200,7 +200,7 @@ def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
     flat = joints.reshape(len(joints), -1)
     squares = (flat**2).sum(axis=1)
     squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
-    return np.asarray(np.sqrt(np.maximum(squared, 0) / joints.shape[1]))
+    return np.sqrt(np.maximum(squared, 0) / joints.shape[1])
 
 
 def _interpolate(
@@ -242,4 +242,4 @@ def _combination(weights: NDArray[np.float64], offsets: NDArray[np.float64]) -> 
 def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Weighted sums ``(M, P, D)`` of points ``(K, P, D)``."""
     flat = shares @ points.reshape(len(points), -1)
-    return np.asarray(flat.reshape(len(shares), *points.shape[1:]))
+    return flat.reshape(len(shares), *points.shape[1:])

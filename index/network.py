@@ -57,12 +57,13 @@ AXES = (Axis(-7.5, 2.0, 32), Axis(-7.0, 2.0, 72), Axis(-0.96875, 0.0625, 32))
 metres behind the pelvis. Columns and rows reach 8 pixels beyond each border, because a degraded
 silhouette may lack limbs."""
 
-BINS = sum(axis.bins for axis in AXES)
+JOINT_BINS = sum(axis.bins for axis in AXES)
+"""Bins of the three distributions of a joint."""
 
 _FIRST = np.array([axis.first for axis in AXES], np.float32)
 _STEP = np.array([axis.step for axis in AXES], np.float32)
 _BINS_OF_AXIS = np.array([axis.bins for axis in AXES])
-_FIRST_BIN = BINS * np.arange(JOINTS)[:, None] + np.cumsum(_BINS_OF_AXIS) - _BINS_OF_AXIS
+_FIRST_BIN = JOINT_BINS * np.arange(JOINTS)[:, None] + np.cumsum(_BINS_OF_AXIS) - _BINS_OF_AXIS
 
 CONVOLUTIONS = ((5, 2, 32), (3, 2, 64), (3, 2, 128), (3, 1, 96))
 """Kernel size, stride and channels of each convolution."""
@@ -85,7 +86,7 @@ def _layer_shapes() -> list[tuple[int, ...]]:
     for size, stride, features in CONVOLUTIONS:
         shapes.append((size * size * channels, features))
         channels, rows, columns = features, -(-rows // stride), -(-columns // stride)
-    return [*shapes, (rows * columns * channels, HIDDEN), (HIDDEN, JOINTS * BINS)]
+    return [*shapes, (rows * columns * channels, HIDDEN), (HIDDEN, JOINTS * JOINT_BINS)]
 
 
 LAYER_SHAPES = _layer_shapes()
@@ -179,7 +180,7 @@ class Distributions:
             mean = probabilities @ centres
             variance = probabilities @ centres**2 - mean**2
             squares += (positions[..., number] - mean) ** 2 + variance
-        return np.asarray(np.sqrt(squares).mean(axis=1))
+        return np.sqrt(squares).mean(axis=1)
 
     def posterior_means(
         self, positions: NDArray[np.floating], spread: tuple[float, float, float]
@@ -274,7 +275,7 @@ def largest_sums(weights: NDArray[np.floating]) -> NDArray[np.float64]:
     the weights of one sign. Coordinates may be negative, but the first layer has few inputs.
     """
     signs = [np.maximum(sign * weights, 0).sum(axis=0, dtype=np.float64) for sign in (1, -1)]
-    return np.asarray(QUANT_MAX * np.maximum(*signs))
+    return QUANT_MAX * np.maximum(*signs)
 
 
 def quantised_relu(values: Array) -> Array:
@@ -314,7 +315,7 @@ class JointNetwork:
         values = quantise(planes)
         for number, layer in enumerate(inner):
             values = quantised_relu(layer(layer_input(number, values)))
-        return Distributions(log_softmax(output(values).reshape(JOINTS, BINS)))
+        return Distributions(log_softmax(output(values).reshape(JOINTS, JOINT_BINS)))
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> JointNetwork:

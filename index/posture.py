@@ -15,28 +15,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from index.skeleton import JOINT_NAMES, JOINTS, SIDES, rows
 
-Posture = Literal[
+PostureName = Literal[
     "standing", "walking", "running", "sitting", "crouching",
     "kneeling", "bending", "arms_raised", "crawling", "lying",
 ]  # fmt: skip
 
-POSTURES: tuple[Posture, ...] = get_args(Posture)
+POSTURES: tuple[PostureName, ...] = get_args(PostureName)
 
-UPRIGHT: tuple[Posture, ...] = ("standing", "walking", "running", "arms_raised")
+UPRIGHT: tuple[PostureName, ...] = ("standing", "walking", "running", "arms_raised")
 """Postures of a straight body on its legs: neither low nor bending."""
 
-ON_THE_GROUND: tuple[Posture, ...] = ("lying", "crawling")
+ON_THE_GROUND: tuple[PostureName, ...] = ("lying", "crawling")
 """Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
 
-LOW: tuple[Posture, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
+LOW: tuple[PostureName, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures of a person who does not stand on straight legs."""
 
 MIN_WALKING_SPEED_M_S, MIN_RUNNING_SPEED_M_S = 0.5, 2.2
 """Least horizontal speeds of people who walk and run."""
 
-MAX_ELEVATION_DEG = 70.0
-"""Steepest elevation of a camera."""
-
+# Steepest elevation of a camera.
+_MAX_ELEVATION_DEG = 70.0
 # Smallest tilt of the trunk of a person lying or on all fours.
 _MIN_HORIZONTAL_DEG = 55.0
 # Largest height of the pelvis and the chest of a person lying.
@@ -82,7 +81,7 @@ class _Skeletons:
         return self.joints[:, JOINT_NAMES.index(name)]
 
     def along_up(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.asarray(np.einsum("n...i,ni->n...", vectors, self.up))
+        return np.einsum("n...i,ni->n...", vectors, self.up)
 
     def bones(self, start: str, end: str) -> NDArray[np.float64]:
         """Vectors ``(N, 2, 3)`` of the left and the right bone, from its end to its start."""
@@ -139,7 +138,7 @@ def classify_postures(
     horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
     lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
     unsupported = _distance_from_feet(bodies) / leg > _MIN_UNSUPPORTED
-    conditions: dict[Posture, NDArray[np.bool_]] = {
+    conditions: dict[PostureName, NDArray[np.bool_]] = {
         "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & (height["chest"] < _MAX_LYING_HEIGHT),
         "crawling": horizontal & (hand < _MAX_HAND_HEIGHT) & (pelvis < _MAX_CRAWLING_HEIGHT),
         "kneeling": lowered & on_knee & ~on_floor,
@@ -184,11 +183,11 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     # Head or hips may be the nearer end, so an angle and its opposite describe the same trunk.
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
-    return np.clip(elevation_deg, 0.0, MAX_ELEVATION_DEG)
+    return np.clip(elevation_deg, 0.0, _MAX_ELEVATION_DEG)
 
 
 def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:
-    return np.asarray(np.rad2deg(inverse(np.clip(sine_or_cosine, -1, 1))))
+    return np.rad2deg(inverse(np.clip(sine_or_cosine, -1, 1)))
 
 
 def _distance_from_feet(bodies: _Skeletons) -> NDArray[np.float64]:

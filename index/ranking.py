@@ -71,7 +71,7 @@ class NetworkRanking:
         if self.model.support_weight == 0:
             return None
         likelihood = self.log_likelihood(candidates)
-        return np.asarray(np.exp(self.model.support_weight * (likelihood - likelihood.max())))
+        return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:
         """Descriptor distances ``(M,)``, increased more the less likely the joints are.
@@ -80,7 +80,7 @@ class NetworkRanking:
         """
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
-        return np.asarray(modes.distances * np.exp(self.model.order_weight * lacking))
+        return modes.distances * np.exp(self.model.order_weight * lacking)
 
     def features(
         self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]

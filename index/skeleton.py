@@ -223,12 +223,12 @@ def mean_joint_distance(
     Only the first 19 points, the joints, are compared.
     """
     joints = np.s_[..., :JOINTS, :]
-    return np.asarray(np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1))
+    return np.linalg.norm(points[joints] - others[joints], axis=-1).mean(axis=-1)
 
 
 def wrap_degrees(angle_deg: ArrayLike) -> NDArray[np.float64]:
     """The same angles in the interval [-180, 180) degrees."""
-    return np.asarray((np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0)
+    return (np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0
 
 
 def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:
@@ -236,7 +236,7 @@ def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArra
     angle = np.deg2rad(angle_deg)
     cosine, sine = np.cos(angle), np.sin(angle)
     rotation = np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
-    return np.asarray(points_3d @ rotation)
+    return points_3d @ rotation
 
 
 def camera_rotation(
@@ -355,7 +355,7 @@ def pixels_per_metre(
     metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
     pixels = points_2d[:, :points]
     pixels = pixels - pixels.mean(axis=1, keepdims=True)
-    return np.asarray((metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2)))
+    return (metres * pixels).sum(axis=(1, 2)) / (metres**2).sum(axis=(1, 2))
 
 
 def _bones(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -223,7 +223,7 @@ class PoseIndex:
     ) -> NDArray[np.float64]:
         """Roll ``(B,)`` of the cameras of entries, or of their mirror images."""
         roll_deg = self.entries["roll_deg"][entry_ids].astype(np.float64)
-        return np.asarray(np.where(mirrored, -roll_deg, roll_deg))
+        return np.where(mirrored, -roll_deg, roll_deg)
 
     def points(
         self, entry_ids: NDArray[np.integer], rows: Sequence[int] | slice = slice(None)
@@ -311,4 +311,4 @@ class PoseIndex:
 
     def silhouette(self, entry_id: int) -> NDArray[np.uint8]:
         """The normalised silhouette of an entry, ``(128, 48)`` uint8 of 0 and 1."""
-        return np.asarray(self.silhouettes([entry_id])[0])
+        return self.silhouettes([entry_id])[0]

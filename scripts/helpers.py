@@ -22,7 +22,7 @@ from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette
 from index.candidates import RotatedQuery
-from index.matching import DEFAULT_HYPOTHESES, Hypothesis
+from index.matching import DEFAULT_HYPOTHESES, PoseHypothesis
 from index.store import PoseIndex
 
 
@@ -58,7 +58,7 @@ def match_silhouettes(
 
 
 def place_entry(
-    index: PoseIndex, person: NormalisedPerson, hypothesis: Hypothesis
+    index: PoseIndex, person: NormalisedPerson, hypothesis: PoseHypothesis
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Return the silhouette of a hypothesis's entry and the transform that puts it on the person.
 

@@ -10,7 +10,7 @@ from typing_extensions import TypedDict
 from app.estimation.posture import FacingSource
 from app.estimation.results import Source
 from app.vision.images import ImageWarning
-from index.posture import Posture as PostureLabel
+from index.posture import PostureName
 
 KeypointSetName = Literal["native", "cmu19", "coco17", "h36m17"]
 ObservedSetName = Literal["coco17", "blazepose33"]
@@ -295,7 +295,7 @@ class Facing(Model):
 class Posture(Model):
     """The person's posture, recognised from the landmarks and the 3D skeletons."""
 
-    label: PostureLabel | Literal["unclear"] = Field(
+    label: PostureName | Literal["unclear"] = Field(
         description="The likeliest posture; `unclear` if no posture reaches a probability of one "
         "half.",
         examples=["walking"],
@@ -381,7 +381,7 @@ class Hypothesis(Model):
         "the camera. `GET /index/entries/{entry}` has the entry's own.",
         examples=[41.0],
     )
-    posture: PostureLabel = Field(
+    posture: PostureName = Field(
         description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
     )
     joints_3d: list[Point3D | None] | None = Field(

@@ -22,7 +22,7 @@ from app.api.schemas import (
 from app.film import VideoEndReason
 from app.tracking.results import EventName, EventState
 from app.tracking.zones import ZoneKind, has_area
-from index.posture import Posture as PostureLabel
+from index.posture import PostureName
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock in seconds, earlier than today in milliseconds."""
@@ -320,7 +320,7 @@ class SequenceFrame(_TrackedFrame, _FrameLine):
 class PostureTime(Model):
     """The time that a person spent in a posture."""
 
-    label: PostureLabel | Literal["unclear"] = Field(
+    label: PostureName | Literal["unclear"] = Field(
         description="The posture.", examples=["walking"]
     )
     seconds: FiniteFloat = Field(ge=0, description="Total time.", examples=[11.8])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from app.vision.judgement import FramePosture
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, Posture
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName
 
 FacingSource = Literal["image", "motion", "none"]
 
@@ -38,14 +38,14 @@ class Facing:
     evidence: FacingSource
 
 
-GROUPS: tuple[tuple[Posture, ...], ...] = (
+GROUPS: tuple[tuple[PostureName, ...], ...] = (
     ON_THE_GROUND,
     UPRIGHT,
     tuple(posture for posture in POSTURES if posture not in (*ON_THE_GROUND, *UPRIGHT)),
 )
 """Postures on the ground, on straight legs, and between the two."""
 
-LANDMARK_GROUPS: tuple[tuple[Posture, ...], ...] = (
+LANDMARK_GROUPS: tuple[tuple[PostureName, ...], ...] = (
     UPRIGHT,
     ("bending",),
     ("crouching", "kneeling"),
@@ -85,16 +85,16 @@ class EstimatedPosture:
         Share of each of ``POSTURES``; they sum to 1.
     """
 
-    label: Posture | Literal["unclear"]
+    label: PostureName | Literal["unclear"]
     probability: float
     shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
 
-    def share(self, postures: Sequence[Posture]) -> float:
+    def share(self, postures: Sequence[PostureName]) -> float:
         """Sum of the shares of the given postures."""
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
-def vote_posture(postures: Sequence[Posture], weights: Sequence[float]) -> NDArray[np.float64]:
+def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
     """Share of each posture in the votes of hypotheses, of which there is at least one.
 
     Parameters

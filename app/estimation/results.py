@@ -14,7 +14,7 @@ from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
-from index.matching import Hypothesis
+from index.matching import PoseHypothesis
 from index.store import Label
 
 Source = Literal["detector", "mask", "boxes", "background", "track"]
@@ -26,7 +26,7 @@ Evidence = Literal["photograph", "silhouette"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ProjectedHypothesis(Hypothesis):
+class ProjectedHypothesis(PoseHypothesis):
     """A hypothesis with the label of its entry, placed in front of the camera.
 
     Its ``points_3d`` are in the camera's axes and in the person's size.

@@ -24,7 +24,7 @@ from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.smoothing import Smoothed
 from app.vision.blazepose import LANDMARK_PX
-from index.posture import ON_THE_GROUND, Posture, camera_up
+from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
 MODEL = Path(__file__).parent / "models" / "actions.json"
@@ -32,7 +32,7 @@ MODEL = Path(__file__).parent / "models" / "actions.json"
 EVERYDAY = ("lie", "sit", "stand", "walk", "run")
 """Actions that are likelier than exercises if the motion of limbs is not seen."""
 
-SHOWN_BY: dict[str, tuple[Posture, ...]] = {
+SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
     "lie": ON_THE_GROUND,
     "sit": ("sitting",),
     "squat": ("crouching", "kneeling", "sitting", "bending"),
@@ -42,7 +42,7 @@ SHOWN_BY: dict[str, tuple[Posture, ...]] = {
 }
 """Postures in which an action is seen; all other actions have those of ``ON_THE_SPOT``."""
 
-ON_THE_SPOT: tuple[Posture, ...] = ("standing", "arms_raised", "bending")
+ON_THE_SPOT: tuple[PostureName, ...] = ("standing", "arms_raised", "bending")
 
 RATE_HZ = 10.0
 """Poses a second from which features are computed."""

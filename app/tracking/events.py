@@ -13,7 +13,7 @@ from app.estimation.posture import EstimatedPosture, likeliest_posture, posture_
 from app.tracking.results import Event, EventName, EventState
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture
-from index.posture import ON_THE_GROUND, POSTURES, Posture
+from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 # Time constant of the low-pass filter over the frames.
 SETTLING_S = 0.5
@@ -184,7 +184,7 @@ class EventDetector:
         step = reliability.body * elapsed
         self._last_at = timestamp
 
-        def share(*postures: Posture) -> float:
+        def share(*postures: PostureName) -> float:
             return float(sum(shares[POSTURES.index(posture)] for posture in postures))
 
         def happened(name: EventName, state: EventState | None, level: float) -> list[Event]:

@@ -23,7 +23,7 @@ from app.tracking.results import SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.odds import log_odds, probability_of
 from index.facing import azimuth_deg
-from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, Posture
+from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, PostureName
 from index.skeleton import (
     POINT_NAMES,
     POINTS,
@@ -413,7 +413,7 @@ class PoseSmoother:
         return _turned(points_3d, wanted_deg - shoulders_deg)
 
 
-def _posture(posture: Posture, velocity: GroundVelocity) -> Posture:
+def _posture(posture: PostureName, velocity: GroundVelocity) -> PostureName:
     """The posture of a state, using the measured speed rather than that of its clip."""
     if posture not in ("standing", "walking", "running"):
         return posture

@@ -21,7 +21,7 @@ from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.people import Silhouette
-from index.posture import Posture
+from index.posture import PostureName
 from index.skeleton import side_rows
 
 _HIPS = side_rows("hip")
@@ -305,7 +305,7 @@ class Track:
             raise ValueError("expected a confirmed track")
         return self.track_id
 
-    def _known_posture(self) -> Posture | None:
+    def _known_posture(self) -> PostureName | None:
         label = self._posture.label if self._posture else None
         return None if label == "unclear" else label
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.tracking.results import Event
 from app.vision.geometry import Box
-from index.posture import ON_THE_GROUND, Posture
+from index.posture import ON_THE_GROUND, PostureName
 
 MIN_SPREAD_PX = 0.5
 
@@ -66,14 +66,14 @@ def distance(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> float:
     return abs(inside_px)
 
 
-def place(box: Box, posture: Posture | None) -> NDArray[np.float64]:
+def place(box: Box, posture: PostureName | None) -> NDArray[np.float64]:
     """Where a person is ``(2,)``: at their feet, or at the centre of a body on the ground."""
     if posture in ON_THE_GROUND:
         return np.array([box.x + box.width / 2, box.y + box.height / 2])
     return box.foot
 
 
-def zones_of(zones: Iterable[Zone], box: Box, posture: Posture | None) -> tuple[Zone, ...]:
+def zones_of(zones: Iterable[Zone], box: Box, posture: PostureName | None) -> tuple[Zone, ...]:
     """The zones in which a person is, in the order given."""
     point = place(box, posture)
     return tuple(zone for zone in zones if contains(zone.polygon, point))
@@ -122,7 +122,7 @@ class ZoneWatch:
         """Zones in which the person was last seen, however briefly."""
         self._stays: dict[str, _Stay] = {}
 
-    def locate(self, zones: Iterable[Zone], box: Box, posture: Posture | None) -> None:
+    def locate(self, zones: Iterable[Zone], box: Box, posture: PostureName | None) -> None:
         """Set the zones in which a person is."""
         self.zones = zones_of(zones, box, posture)
 
@@ -132,7 +132,7 @@ class ZoneWatch:
         timestamp: float,
         zones: Sequence[Zone],
         box: Box,
-        posture: Posture | None,
+        posture: PostureName | None,
     ) -> list[Event]:
         """Add where the person is; return the zones that they have entered and left.
 
@@ -175,7 +175,7 @@ class ZoneWatch:
         return [_crossing("zone_left", name, track_id, timestamp, max(0.0, until - stay.since))]
 
 
-def _is_near(zone: Zone, box: Box, posture: Posture | None) -> bool:
+def _is_near(zone: Zone, box: Box, posture: PostureName | None) -> bool:
     """Whether a person is at most the margin away from a zone's border."""
     margin_px = MARGIN * max(box.width, box.height)
     return distance(zone.polygon, place(box, posture)) <= margin_px

@@ -61,7 +61,6 @@ class Avatar:
 
     Parameters
     ----------
-    name : str
     vertices : (V, 3) float32 array
         Rest pose, body axes, metres.
     triangles : (T, 3) int32 array
@@ -71,8 +70,6 @@ class Avatar:
         Bones that move each vertex.
     weights : (V, 8) float32 array
         Weight of each of these bones; rows sum to 1.
-    bones : tuple of str
-    parents : tuple of int
     heads : (B, 3) float64 array
         Start of each bone in rest pose.
     tails : (B, 3) float64 array
@@ -275,7 +272,7 @@ def facing_yaw(pelvis: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def turned_to_front(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """World rotations ``(F, B, 3, 3)``, root first, turned so that the pelvis faces +z."""
-    return np.asarray(about_vertical(-facing_yaw(rotations[:, 0]))[:, None] @ rotations)
+    return about_vertical(-facing_yaw(rotations[:, 0]))[:, None] @ rotations
 
 
 def about_vertical(angle: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -299,8 +296,6 @@ def pose_transforms(
 
     Parameters
     ----------
-    avatar : Avatar
-    retargeting : Retargeting
     rotations : (F, B', 3, 3) array
         World rotations of the clip's bones.
 
@@ -327,4 +322,4 @@ def posed_points(avatar: Avatar, transforms: NDArray[np.float64]) -> NDArray[np.
     rest[head] = (avatar.heads[bones[head]] + avatar.tails[bones[head]]) / 2
     rest = np.concatenate([rest, avatar.face])
     moved_by = transforms[:, [*bones, *[bones[head]] * len(FACE_NAMES)]]
-    return np.asarray(np.einsum("fpij,pj->fpi", moved_by[..., :3], rest) + moved_by[..., 3])
+    return np.einsum("fpij,pj->fpi", moved_by[..., :3], rest) + moved_by[..., 3]

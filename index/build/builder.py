@@ -40,7 +40,6 @@ class Split(NamedTuple):
 
     Parameters
     ----------
-    kept, held : list of Segment
     by_clip : bool
         Whether no clip is in both; else the same clips were cut in two.
     """
@@ -302,7 +301,6 @@ def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Pose
 
     Parameters
     ----------
-    poses : Poses
     reference : Avatar
         Body on which poses are compared.
     count : int
@@ -398,7 +396,6 @@ def build(
 
     Parameters
     ----------
-    spec : IndexSpec
     executor : Executor, optional
         Renders the silhouettes; by default threads of this process.
     shards : context manager, optional

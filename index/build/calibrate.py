@@ -125,7 +125,7 @@ class Trial:
     @property
     def error_px(self) -> NDArray[np.float64]:
         """Mean joint errors in the normalised frame ``(Q, N)``."""
-        return np.asarray(self.joint_errors_px.mean(axis=-1))
+        return self.joint_errors_px.mean(axis=-1)
 
     @property
     def right(self) -> NDArray[np.bool_]:
@@ -140,8 +140,6 @@ def run_trial(
 
     Parameters
     ----------
-    index : PoseIndex
-    queries : Queries
     n : int
         Hypotheses per query.
     progress : bool

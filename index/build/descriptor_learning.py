@@ -122,10 +122,8 @@ def learn_descriptor(
 
     Parameters
     ----------
-    simulation : Simulation
     seed : int
         Chooses the silhouettes whose neighbours are compared.
-    recipe : Recipe
     faults : callable
         Degrades silhouettes; the descriptor learns to ignore these faults.
 
@@ -185,7 +183,7 @@ def _within(
         differences = (moments[:, :1] - moments[:, 1:]).reshape(-1, moments.shape[-1])
         weighted = differences * closeness[block].reshape(-1, 1)
         products = products + weighted.T.astype(np.float64) @ differences
-    return np.asarray(products / closeness.sum(dtype=np.float64))
+    return products / closeness.sum(dtype=np.float64)
 
 
 def _total(simulation: Simulation, recipe: Recipe) -> NDArray[np.float64]:
@@ -201,7 +199,7 @@ def _total(simulation: Simulation, recipe: Recipe) -> NDArray[np.float64]:
     # The mean of silhouettes and mirror images has no odd moment.
     centre = mean * ~_odd(recipe)
     cross = np.outer(mean, centre)
-    return np.asarray(products / len(simulation) - cross - cross.T + np.outer(centre, centre))
+    return products / len(simulation) - cross - cross.T + np.outer(centre, centre)
 
 
 def discriminate(scatter: Scatter, dimension: int, regularisation: float) -> DiscriminantDescriptor:
@@ -217,7 +215,7 @@ def discriminate(scatter: Scatter, dimension: int, regularisation: float) -> Dis
 def _odd(recipe: Recipe) -> NDArray[np.bool_]:
     """Mask ``(F,)`` of the moments of odd horizontal order."""
     count = len(recipe.p2) * recipe.vertical_orders * recipe.horizontal_orders
-    return np.asarray(np.arange(count) % recipe.horizontal_orders % 2 == 1)
+    return np.arange(count) % recipe.horizontal_orders % 2 == 1
 
 
 def _noise_scatter(

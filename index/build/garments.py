@@ -30,7 +30,6 @@ class Garment:
 
     Parameters
     ----------
-    name : str
     anchors : (V, 3) int32 array
         Vertices of the base mesh that hold each garment vertex.
     shares : (V, 3) float64 array

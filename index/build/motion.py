@@ -51,7 +51,6 @@ class Rig:
     ----------
     joints : mapping of str to str
         Joints of the files by the names of ours; those left out have the same name.
-    metres_per_unit : float
     """
 
     joints: Mapping[str, str] = field(default_factory=dict)
@@ -116,7 +115,6 @@ class Clip:
 
     Parameters
     ----------
-    name : str
     bones : tuple of str
         The BVH joints, parents first.
     parents : tuple of int
@@ -210,7 +208,6 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
 
     Parameters
     ----------
-    file : Path
     rig : Rig
         Names of its own joints.
 
@@ -281,7 +278,7 @@ def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.f
     end = np.minimum(frames + _SPEED_WINDOW, len(positions) - 1)
     path = positions[:, (0, 2)]
     lengths = np.linalg.norm(path[end] - path[start], axis=1)
-    return np.asarray(lengths / (np.maximum(end - start, 1) * frame_time_s))
+    return lengths / (np.maximum(end - start, 1) * frame_time_s)
 
 
 def _tip(node: pybvh.bvhnode.BvhNode) -> NDArray[np.float64]:

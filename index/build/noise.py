@@ -53,7 +53,6 @@ def degrade(
         Normalised; 1 on the person.
     joints : (19, 2) array
         Positions of the joints in it.
-    generator : numpy.random.Generator
 
     Returns
     -------
@@ -137,7 +136,7 @@ def _with_ragged_outline(
 def _largest(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """The largest connected part of a mask that is not empty."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=8)
-    return np.asarray(labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+    return labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
 
 
 def degrade_all(
@@ -151,7 +150,6 @@ def degrade_all(
     ----------
     silhouettes : (B, 128, 48) uint8 array
     joints : (B, 19, 2) array
-    generator : numpy.random.Generator
 
     Returns
     -------

@@ -42,7 +42,6 @@ def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Cl
 
     Parameters
     ----------
-    clips : sequence of Clip
     subjects : sequence of str
         Subject of each clip.
     """
@@ -65,7 +64,7 @@ def _upright_pitches(clip: Clip) -> NDArray[np.float64]:
     upright_above = np.cos(np.deg2rad(_UPRIGHT_WITHIN_DEG))
     upright = clip.rotations[:, clip.bone("Spine1"), 1, 1] > upright_above
     forward = clip.rotations[upright & ~clip.broken, clip.bone("Head"), :, 2]
-    return np.asarray(np.arcsin(np.clip(forward[:, 1], -1, 1)))
+    return np.arcsin(np.clip(forward[:, 1], -1, 1))
 
 
 def _pitched(clip: Clip, angle: float) -> Clip:
@@ -78,7 +77,7 @@ def _pitched(clip: Clip, angle: float) -> Clip:
     return replace(clip, rotations=rotations)
 
 
-SIDES = ("back", "left", "belly", "right")
+LYING_SIDES = ("back", "left", "belly", "right")
 """Parts of the body that a pose lies on, by quarters of the turn about the body's long axis."""
 
 
@@ -108,8 +107,8 @@ def laid_down(
 
 
 def side_of(lying_deg: float) -> str:
-    """Part that a body laid down lies on, one of :data:`SIDES`."""
-    return SIDES[int(np.rint(lying_deg / 90.0)) % 4]
+    """Part that a body laid down lies on, one of :data:`LYING_SIDES`."""
+    return LYING_SIDES[int(np.rint(lying_deg / 90.0)) % 4]
 
 
 @dataclass(frozen=True)
@@ -118,12 +117,10 @@ class Poses:
 
     Parameters
     ----------
-    clips : tuple of Clip
     clip : (P,) int array
         Position in ``clips``.
     frame : (P,) int array
         Frame of that clip, zero-based.
-    actions : tuple of str
     action : (P,) int array
         Position in ``actions``.
     lying_deg : (P,) float array
@@ -235,12 +232,10 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
 
     Parameters
     ----------
-    poses : Poses
     avatar : Avatar
         Body that is laid down.
     count : int
         Number of poses to try.
-    seed : int
 
     Returns
     -------
@@ -250,12 +245,12 @@ def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
     generator = np.random.default_rng(seed)
     tried = poses.take(np.sort(generator.permutation(len(poses))[:count]))
     lying_deg = generator.uniform(0.0, 360.0, len(tried))
-    actions = tuple(f"lie-on-{side}" for side in SIDES)
+    actions = tuple(f"lie-on-{side}" for side in LYING_SIDES)
     laid = replace(
         tried,
         actions=(*tried.actions, *actions),
         action=np.array(
-            [len(tried.actions) + SIDES.index(side_of(a)) for a in lying_deg], np.int64
+            [len(tried.actions) + LYING_SIDES.index(side_of(a)) for a in lying_deg], np.int64
         ),
         lying_deg=lying_deg,
     )
@@ -284,7 +279,6 @@ def farthest_points(features: NDArray[np.floating], count: int) -> NDArray[np.in
     Parameters
     ----------
     features : (P, D) array
-    count : int
 
     Returns
     -------

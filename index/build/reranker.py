@@ -29,10 +29,10 @@ from index.build.noise import degrade
 from index.build.views import MAX_OWN_ROLL_DEG
 from index.network import (
     AXES,
-    BINS,
     CONVOLUTIONS,
     EXACT_BELOW,
     HIDDEN,
+    JOINT_BINS,
     QUANT_MAX,
     JointNetwork,
     Layer,
@@ -74,7 +74,6 @@ class TrainingConfig:
         Highest learning rate; it rises over the first twentieth, then falls to nothing.
     decay : float
         Weight decay.
-    seed : int
     """
 
     passes: float = 20.0
@@ -97,10 +96,8 @@ def train(
 
     Parameters
     ----------
-    index : PoseIndex
     rows : (R,) int array
         The entries.
-    config : TrainingConfig
     start : torch.nn.Sequential, optional
         Already trained network to start from; by default one of random weights.
     log : callable
@@ -247,7 +244,7 @@ def _layers() -> nn.Sequential:
         nn.Flatten(),
         nn.Linear(channels * rows * columns, HIDDEN),
         nn.ReLU(),
-        nn.Linear(HIDDEN, JOINTS * BINS),
+        nn.Linear(HIDDEN, JOINTS * JOINT_BINS),
     ]
     return nn.Sequential(*layers)
 
@@ -259,7 +256,9 @@ def _channels_first(planes: NDArray[np.float32]) -> torch.Tensor:
 def _loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
     """Mean cross-entropy with targets softened by a bin, over joints and axes."""
     loss = torch.zeros(())
-    parts = logits.reshape(len(logits), JOINTS, BINS).split([axis.bins for axis in AXES], dim=-1)
+    parts = logits.reshape(len(logits), JOINTS, JOINT_BINS).split(
+        [axis.bins for axis in AXES], dim=-1
+    )
     for position, part in enumerate(parts):
         apart = torch.arange(part.shape[-1]) - truth[..., position, None]
         target = torch.softmax(-(apart**2) / 2, dim=-1)
@@ -340,11 +339,9 @@ def train_reranker(
 
     Parameters
     ----------
-    index : PoseIndex
     spec : IndexSpec
         What the index was built from. Its ``segments`` may be used: an experiment leaves out those
         that it asks for. The confidence is fitted on ``plan.calibration`` silhouettes.
-    config : TrainingConfig
     progress : bool
         Whether to show progress bars.
     log : callable

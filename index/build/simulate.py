@@ -45,11 +45,9 @@ class Simulation:
 
     Parameters
     ----------
-    silhouette_store : Silhouettes
     entries : (E,) array of ENTRY_DTYPE
     skeletons : (S, 24, 3) float16 array
     skeleton_labels : (S,) array of SKELETON_DTYPE
-    clips, subjects, actions : tuple of str
     """
 
     silhouette_store: Silhouettes
@@ -98,7 +96,6 @@ def simulate(
 
     Parameters
     ----------
-    poses : Poses
     avatars : sequence of Avatar
         Dealt out in turn, so that each gets its share of the poses.
     bodies : int
@@ -173,7 +170,7 @@ def _shards(
         row, avatar = number // bodies, int(assigned[number])
         rotations = poses.rotations(np.array([row]))
         retargeted = retargeting(int(poses.clip[row]), avatar)
-        return np.asarray(pose_transforms(avatars[avatar], retargeted, rotations)[0])
+        return pose_transforms(avatars[avatar], retargeted, rotations)[0]
 
     for start in range(0, len(poses), RENDERING.shard_poses):
         rows = np.arange(start, min(start + RENDERING.shard_poses, len(poses)))

@@ -14,8 +14,8 @@ from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import RIGHT_BELOW_PX
 from index.landmarks import NormalisedLandmarks
-from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Hypothesis, Match, match
-from index.posture import Posture
+from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis, match
+from index.posture import PostureName
 from index.skeleton import (
     JOINTS,
     POINTS,
@@ -33,7 +33,9 @@ from tests.index.helpers import joint_error, landmarks_of
 QUERIES = range(0, 576, 61)
 
 
-def best_hypotheses(index: PoseIndex, silhouette: NDArray[np.uint8], n: int) -> list[Hypothesis]:
+def best_hypotheses(
+    index: PoseIndex, silhouette: NDArray[np.uint8], n: int
+) -> list[PoseHypothesis]:
     return match(index, silhouette, n).hypotheses[:n]
 
 
@@ -80,7 +82,7 @@ def test_mirrored_silhouette_gives_mirrored_hypotheses(toy_index: PoseIndex, num
     )
 
 
-def assert_later_poses_are_new(found: list[Hypothesis]) -> None:
+def assert_later_poses_are_new(found: list[PoseHypothesis]) -> None:
     """Hypotheses certainly of a later batch differ from all of the first batch."""
     poses = np.array([one.points_3d for one in found])
     for later in poses[2 * DEFAULT_HYPOTHESES :]:
@@ -142,7 +144,7 @@ def roll_of(index: PoseIndex, number: int) -> float:
     return float(index.entries["roll_deg"][number])
 
 
-def best_of(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) -> Hypothesis:
+def best_of(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) -> PoseHypothesis:
     return match(index, np.ascontiguousarray(silhouette), 3, roll_deg=roll_deg).hypotheses[0]
 
 
@@ -178,7 +180,7 @@ class TestRolledQueries:
 class TestPostures:
     def test_lying_and_standing_entries_are_classified(self, ground_index: PoseIndex) -> None:
         actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
-        postures: dict[str, list[Posture]] = {"lying": [], "standing": []}
+        postures: dict[str, list[PostureName]] = {"lying": [], "standing": []}
         for number in range(0, len(ground_index), 13):
             roll_deg = roll_of(ground_index, number)
             roll_deg = roll_deg if abs(roll_deg) > 30 else 0.0
@@ -217,7 +219,7 @@ def sampled(new_views: Simulation) -> list[View]:
     return list(zip(new_views.silhouettes(slice(None)), in_space, in_picture, strict=True))[::12]
 
 
-def likeliest(found: Match) -> Hypothesis:
+def likeliest(found: Match) -> PoseHypothesis:
     best = found.hypotheses[0]
     assert best.distance == min(one.distance for one in found.hypotheses)
     return best
@@ -296,7 +298,7 @@ def test_mirrored_landmarks_give_mirrored_hypotheses(toy_index: PoseIndex, numbe
     assert there[0].posture == here[0].posture
 
 
-def same(one: Hypothesis, other: Hypothesis) -> bool:
+def same(one: PoseHypothesis, other: PoseHypothesis) -> bool:
     """Whether two hypotheses are equal to the last bit."""
     return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from index.network import (
     AXES,
-    BINS,
+    JOINT_BINS,
     Distributions,
     JointNetwork,
     Layer,
@@ -29,7 +29,7 @@ def network() -> JointNetwork:
 
 def certain(columns: int, rows: int, depths: int) -> Distributions:
     """Every joint in the same bin, almost surely."""
-    logits = np.zeros((JOINTS, BINS))
+    logits = np.zeros((JOINTS, JOINT_BINS))
     start = 0
     for axis, at in zip(AXES, (columns, rows, depths), strict=True):
         logits[:, start + at] = 12
@@ -45,7 +45,7 @@ def joints(columns: float, rows: float, depths: float, count: int = 1) -> NDArra
 
 def test_probabilities_of_each_axis_sum_to_one(network: JointNetwork, toy_index: PoseIndex) -> None:
     seen = network.distributions(toy_index.silhouette(3)).log_probabilities
-    assert seen.shape == (JOINTS, BINS)
+    assert seen.shape == (JOINTS, JOINT_BINS)
     ends = np.cumsum([axis.bins for axis in AXES])[:-1]
     for part in np.split(np.exp(seen.astype(np.float64)), ends, axis=1):
         assert_allclose(part.sum(axis=1), 1, rtol=1e-5)
@@ -80,7 +80,7 @@ def summed(network: JointNetwork, planes: NDArray[np.float32]) -> Distributions:
         values = whole(scaled(layer, sums))
     sums = values.ravel() @ hidden.weights.astype(np.float64)
     sums = whole(scaled(hidden, sums)) @ output.weights.astype(np.float64)
-    return Distributions(log_softmax(scaled(output, sums).reshape(JOINTS, BINS)))
+    return Distributions(log_softmax(scaled(output, sums).reshape(JOINTS, JOINT_BINS)))
 
 
 def scaled(layer: Layer, sums: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -114,7 +114,7 @@ def test_mirrored_skeletons_are_as_likely(network: JointNetwork, toy_index: Pose
 class TestPosteriorMeans:
     def test_product_of_two_normal_distributions(self) -> None:
         """In closed form: the product of two normal distributions."""
-        logits = np.zeros((JOINTS, BINS), np.float32)
+        logits = np.zeros((JOINTS, JOINT_BINS), np.float32)
         start = 0
         for axis in AXES:
             apart = np.arange(axis.bins) - axis.bins / 2
@@ -128,12 +128,12 @@ class TestPosteriorMeans:
         assert_allclose(means, expected, atol=2e-3)
 
     def test_uniform_distributions_move_nothing(self) -> None:
-        blank = Distributions(log_softmax(np.zeros((JOINTS, BINS), np.float32)))
+        blank = Distributions(log_softmax(np.zeros((JOINTS, JOINT_BINS), np.float32)))
         prior = joints(14.3, 38.6, 15.2)
         assert_allclose(blank.posterior_means(prior, (3.0, 3.0, 0.1)), prior, atol=2e-2)
 
     def test_distant_peak_does_not_attract_a_joint(self) -> None:
-        logits = np.zeros((JOINTS, BINS), np.float32)
+        logits = np.zeros((JOINTS, JOINT_BINS), np.float32)
         logits[:, 10], logits[:, 20] = 8, 10
         seen = Distributions(log_softmax(logits))
         means = seen.posterior_means(joints(10.5, 40, 16), (3.0, 3.0, 0.04))

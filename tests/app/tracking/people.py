@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.estimation.posture import Facing, posture_of, vote_posture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.vision.geometry import Box
-from index.posture import Posture
+from index.posture import PostureName
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
 from index.store import Label
 
@@ -46,7 +46,7 @@ def person_of(
     centre: tuple[float, float] = (200.0, 200.0),
     *,
     elevation_deg: float = 10.0,
-    postures: Sequence[Posture] | None = None,
+    postures: Sequence[PostureName] | None = None,
     action: str = "walk",
 ) -> Person:
     """A person whose hypotheses are these poses, with the box about a point of the frame."""

@@ -25,7 +25,7 @@ from app.tracking.motion import STILL
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.smoothing import Smoothed
 from app.vision.geometry import Box
-from index.posture import POSTURES, Posture, camera_up
+from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from tests.app.tracking.people import person_of, standing_body
 from tests.conftest import stick_figure
@@ -159,14 +159,14 @@ def test_the_shipped_model_recognises_standing() -> None:
         ("running", "run", "stand"), ("crouching", "squat", "lie"), ("standing", "stand", "sit"),
     ],
 )  # fmt: skip
-def test_an_action_goes_with_the_posture(posture: Posture, best: str, worst: str) -> None:
+def test_an_action_goes_with_the_posture(posture: PostureName, best: str, worst: str) -> None:
     actions = shipped_model().actions
     factors = dict(zip(actions, posture_factors(actions, one_hot(posture)), strict=True))
     assert factors[best] == max(factors.values()) > 5 * factors[worst] > 0
     assert factors[worst] == min(factors.values())
 
 
-def one_hot(posture: Posture) -> EstimatedPosture:
+def one_hot(posture: PostureName) -> EstimatedPosture:
     shares = np.array([name == posture for name in POSTURES], np.float64)
     return EstimatedPosture(posture, 1.0, shares)
 

@@ -15,11 +15,11 @@ from app.tracking.events import (
     Reliability,
 )
 from app.tracking.results import Event
-from index.posture import Posture
+from index.posture import PostureName
 
 FPS = 10
 PX_PER_M = 100.0
-HIPS_M: dict[Posture, float] = {
+HIPS_M: dict[PostureName, float] = {
     "lying": 0.15, "crawling": 0.4, "kneeling": 0.5, "sitting": 0.5, "bending": 0.9
 }  # fmt: skip
 """Height of the hips over the ground; 0.95 m where not named."""
@@ -30,12 +30,12 @@ def hips_at(height_m: float) -> HipHeight:
 
 
 def watch(
-    parts: Iterable[tuple[Posture, float]],
+    parts: Iterable[tuple[PostureName, float]],
     fps: float = FPS,
     probability: float = 0.9,
     confidence: float = 1.0,
     rests: bool = False,
-    hips_m: dict[Posture, float] = HIPS_M,
+    hips_m: dict[PostureName, float] = HIPS_M,
     detector: EventDetector | None = None,
 ) -> list[Event]:
     """Events of a person who is in each posture for some seconds."""
@@ -44,7 +44,7 @@ def watch(
     frame = 0
     for posture, seconds in parts:
         for _ in range(round(seconds * fps)):
-            other: Posture = "bending" if posture != "bending" else "crouching"
+            other: PostureName = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             events += detector.update(
                 7,
@@ -96,7 +96,7 @@ RAISED = [("arms_raised", "begin"), ("arms_raised", "end")]
     ],
 )
 def test_events_of_postures(
-    parts: list[tuple[Posture, float]], expected: list[tuple[str, str]]
+    parts: list[tuple[PostureName, float]], expected: list[tuple[str, str]]
 ) -> None:
     assert names(watch(parts)) == expected
 
@@ -113,7 +113,7 @@ def test_events_of_postures(
     ],
 )
 def test_what_has_begun_to_show_at_the_end_is_unconfirmed(
-    parts: list[tuple[Posture, float]], expected: list[str]
+    parts: list[tuple[PostureName, float]], expected: list[str]
 ) -> None:
     detector = EventDetector()
     watch(parts, detector=detector)
@@ -124,7 +124,9 @@ def test_what_has_begun_to_show_at_the_end_is_unconfirmed(
 
 
 @pytest.mark.parametrize("posture", ["lying", "arms_raised"])
-def test_a_single_frame_begins_nothing_even_at_a_frame_every_five_seconds(posture: Posture) -> None:
+def test_a_single_frame_begins_nothing_even_at_a_frame_every_five_seconds(
+    posture: PostureName,
+) -> None:
     assert watch([("standing", 20), (posture, 5), ("standing", 20)], fps=0.2) == []
 
 
@@ -181,14 +183,14 @@ def test_fall_out_of_bed_is_a_fall_although_the_person_was_lying_before() -> Non
 
 def test_deep_drop_needs_less_certain_postures() -> None:
     for height_m, falls in ((0.5, False), (0.15, True)):
-        heights: dict[Posture, float] = {"lying": height_m}
+        heights: dict[PostureName, float] = {"lying": height_m}
         events = watch([("standing", 2), ("lying", 3)], probability=0.4, hips_m=heights)
         assert [event.event for event in events] == (["fell"] if falls else [])
 
 
 def test_lying_down_slowly_is_no_fall() -> None:
-    slowly: list[tuple[Posture, float]] = [("sitting", 2), ("bending", 1), ("lying", 5)]
-    heights: dict[Posture, float] = {"sitting": 0.6, "bending": 0.55, "lying": 0.5}
+    slowly: list[tuple[PostureName, float]] = [("sitting", 2), ("bending", 1), ("lying", 5)]
+    heights: dict[PostureName, float] = {"sitting": 0.6, "bending": 0.55, "lying": 0.5}
     assert names(watch(slowly, hips_m=heights)) == LAY
 
 
@@ -204,7 +206,7 @@ def test_heights_seen_from_above_are_foreshortened() -> None:
 
 
 def test_in_a_zone_for_resting_lying_is_no_event() -> None:
-    parts: list[tuple[Posture, float]] = [("walking", 3), ("lying", 9), ("crawling", 3)]
+    parts: list[tuple[PostureName, float]] = [("walking", 3), ("lying", 9), ("crawling", 3)]
     assert names(watch(parts, rests=True)) == []
     raised = watch([("standing", 2), ("arms_raised", 2)], rests=True)
     assert names(raised) == [("arms_raised", "begin")]

@@ -10,12 +10,12 @@ from app.estimation.posture import vote_posture
 from app.tracking.events import PostureFilter
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
-from index.posture import ON_THE_GROUND, POSTURES, Posture
+from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 UPRIGHT, LEVEL = Box(0, 0, 40, 160), Box(0, 0, 160, 40)
 
 
-def votes(posture: Posture) -> NDArray[np.float64]:
+def votes(posture: PostureName) -> NDArray[np.float64]:
     return vote_posture([posture], [1.0])
 
 

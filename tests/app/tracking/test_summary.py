@@ -10,11 +10,11 @@ from app.film import MAX_GAP_S, VideoSummary
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
-from index.posture import Posture
+from index.posture import PostureName
 
 
 def person(
-    track_id: int, posture: Posture | None, action: RecognisedAction | None = None
+    track_id: int, posture: PostureName | None, action: RecognisedAction | None = None
 ) -> TrackedPerson:
     return TrackedPerson(
         Box(0, 0, 10, 20), "detector", 0.9, None,

@@ -23,7 +23,7 @@ from app.tracking.zones import (
     zones_of,
 )
 from app.vision.geometry import Box
-from index.posture import ON_THE_GROUND, POSTURES, Posture
+from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 SQUARE = np.array([[10.0, 10.0], [50.0, 10.0], [50.0, 50.0], [10.0, 50.0]])
 # An L: the upper right quarter of the square is missing.
@@ -78,7 +78,7 @@ def test_of_two_halves_a_point_is_in_exactly_one(split: float, x: float, y: floa
 
 @pytest.mark.parametrize("posture", [*POSTURES, None])
 def test_people_are_where_their_feet_are_or_on_the_ground_their_centre(
-    posture: Posture | None,
+    posture: PostureName | None,
 ) -> None:
     box = Box(10.0, 20.0, 30.0, 60.0)
     lies = posture in ON_THE_GROUND

@@ -26,7 +26,7 @@ from index.build.builder import (
     spread,
 )
 from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.poses import SIDES, Poses, joints_of, read_poses
+from index.build.poses import LYING_SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.posture import LOW, POSTURES, classify_postures
 from tests.index.toys import walk, write_clip
@@ -217,7 +217,7 @@ def test_same_inputs_build_the_same_bytes(small_mocap: Path, tmp_path: Path) -> 
     one, two = (load_index(folder) for folder in folders)
     assert one.version == two.version
     assert len(one) == 480
-    laid_down = {f"lie-on-{side}" for side in SIDES}
+    laid_down = {f"lie-on-{side}" for side in LYING_SIDES}
     assert set(one.actions) == {"basketball", "jump", "walk"} | laid_down
     for file in folders[0].iterdir():
         assert file.read_bytes() == (folders[1] / file.name).read_bytes()

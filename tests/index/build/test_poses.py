@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from index.build.body import Avatar, facing_yaw
 from index.build.motion import Clip, MotionError, Segment
 from index.build.poses import (
+    LYING_SIDES,
     MIN_UPRIGHT_FRAMES,
-    SIDES,
     TRUNK_BELOW_M,
     Poses,
     farthest_points,
@@ -158,7 +158,7 @@ class TestLaidDown:
 @pytest.mark.parametrize("turn", [-360.0, 0.0, 360.0])
 @pytest.mark.parametrize("off", [-44.0, 0.0, 44.0])
 def test_sides_by_quarters(turn: float, off: float) -> None:
-    assert [side_of(quarter + off + turn) for quarter in (0, 90, 180, 270)] == list(SIDES)
+    assert [side_of(quarter + off + turn) for quarter in (0, 90, 180, 270)] == list(LYING_SIDES)
 
 
 class TestLayDown:
