@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,22 +66,16 @@ class Silhouettes:
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
 
     @classmethod
-    def compress(
-        cls, bits: NDArray[np.uint8], sample: NDArray[np.uint8] | None = None
-    ) -> Silhouettes:
-        """Compress silhouettes packed by :func:`descriptor.silhouette.pack`, ``(E, 768)``.
-
-        Parameters
-        ----------
-        bits : (E, 768) uint8 array
-        sample : (S, 768) uint8 array, optional
-            Silhouettes that make up the dictionary; by default those of ``bits`` that
-            :func:`sampled` chooses.
-        """
+    def compress(cls, bits: NDArray[np.uint8]) -> Silhouettes:
+        """Compress silhouettes packed by :func:`descriptor.silhouette.pack`, ``(E, 768)``."""
         if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
             raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
-        sample = bits[sampled(len(bits))] if sample is None else sample
-        return cls(*_deflate(_by_columns(unpack(bits)), _by_columns(unpack(sample)).ravel()))
+        dictionary = _by_columns(unpack(bits[sampled(len(bits))])).ravel()
+        blocks = (
+            _by_columns(unpack(bits[start : start + _BLOCK]))
+            for start in range(0, len(bits), _BLOCK)
+        )
+        return cls(*_deflate(blocks, dictionary))
 
     def halved(self) -> Silhouettes:
         """The same at half the resolution, in half the bytes: outlines move by 0.3 px."""
@@ -91,22 +85,8 @@ class Silhouettes:
             _by_columns(_halve(self.take(np.arange(start, min(start + _BLOCK, len(self))))))
             for start in range(0, len(self), _BLOCK)
         ]
-        columns = np.concatenate(blocks)
-        dictionary = columns[sampled(len(self), step=2)].ravel()
-        return Silhouettes(*_deflate(columns, dictionary), step=2)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Silhouettes]) -> Silhouettes:
-        """Concatenate silhouettes of the same dictionary."""
-        first = parts[0]
-        if any(
-            part.step != first.step or not np.array_equal(part.dictionary, first.dictionary)
-            for part in parts
-        ):
-            raise ValueError("expected silhouettes of the same dictionary and resolution")
-        lengths = np.concatenate([np.diff(part.ends, prepend=0) for part in parts])
-        data = np.concatenate([part.data for part in parts])
-        return replace(first, data=data, ends=np.cumsum(lengths, dtype=np.int64))
+        dictionary = np.concatenate(blocks)[sampled(len(self), step=2)].ravel()
+        return Silhouettes(*_deflate(blocks, dictionary), step=2)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
         """Some silhouettes, still compressed."""
@@ -147,14 +127,15 @@ def sampled(count: int, *, step: int = 1) -> NDArray[np.int64]:
 
 
 def _deflate(
-    columns: NDArray[np.uint8], dictionary: NDArray[np.uint8]
+    blocks: Iterable[NDArray[np.uint8]], dictionary: NDArray[np.uint8]
 ) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8]]:
-    """Compress each row; returns data, ends and dictionary."""
+    """Compress each row of each block; returns data, ends and dictionary."""
     fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
     parts = []
-    for row in columns:
-        packer = fresh.copy()
-        parts.append(packer.compress(row.tobytes()) + packer.flush())
+    for block in blocks:
+        for row in block:
+            packer = fresh.copy()
+            parts.append(packer.compress(row.tobytes()) + packer.flush())
     ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
     return np.frombuffer(b"".join(parts), np.uint8), ends, dictionary
 

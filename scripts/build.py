@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 
 from index import DEFAULT_PATH
 from index.artefact import check_replaceable, save_index
 from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
-from index.build.shard_files import ShardError
-from index.files import staging
 from scripts.results import SHARED
+
+CONNECT_S = 10
+"""Seconds that a scheduler may take to answer."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -36,18 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--seed", type=int, default=Plan.seed)
     add("--descriptor", choices=("discriminant", "paper"), default=Plan.descriptor)
     add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that renders; tcp://HOST:8786")
-    add(
-        "--shards",
-        type=Path,
-        metavar="FOLDER",
-        help="keeps what is rendered, so that a build can be resumed, and is shared by a cluster; "
-        "by default a temporary folder beside --out",
-    )
     options = parser.parse_args(arguments)
     name = options.name or options.out.resolve().name
     attribution = CMU_ATTRIBUTION if options.attribution == "cmu" else options.attribution
-    inputs = {"--mocap": options.mocap, "--garments": options.garments}
-    check_apart(options.out, {**inputs, "--shards": options.shards})
+    check_apart(options.out, {"--mocap": options.mocap, "--garments": options.garments})
     check_replaceable(options.out)
     plan = Plan(
         entries=options.entries,
@@ -57,12 +49,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
         descriptor=options.descriptor,
     )
     spec = IndexSpec(name, options.mocap, options.garments, plan, attribution)
-    shards = nullcontext(options.shards) if options.shards else staging(options.out.resolve())
-    try:
-        with _executor(options.scheduler) as executor:
-            index = build(spec, executor=executor, shards=shards, progress=True, log=print)
-    except ShardError as error:
-        raise SystemExit(f"build: {error}") from None
+    with ExitStack() as stack:
+        executor = None
+        if options.scheduler:
+            from distributed import Client
+
+            client = stack.enter_context(Client(options.scheduler, timeout=CONNECT_S))
+            executor = client.get_executor(pure=False)
+        index = build(spec, executor=executor, progress=True, log=print)
     version = save_index(index, options.out)
     print(f"{len(index)} entries in {options.out}, {version}")
 
@@ -79,13 +73,3 @@ def check_apart(out: Path, others: Mapping[str, Path | None]) -> None:
                 f"--out: expected a folder apart from {option}, since it is replaced as a whole, "
                 f"got {out} and {folder}"
             )
-
-
-def _executor(scheduler: str | None) -> AbstractContextManager[Executor | None]:
-    if scheduler is None:
-        return nullcontext()
-    try:
-        from index.build.cluster import cluster_executor
-    except ModuleNotFoundError as error:
-        raise ShardError(f"--scheduler needs the extra cluster ({error})") from error
-    return cluster_executor(scheduler)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -338,7 +337,6 @@ def simulate_queries(
     seed: int,
     *,
     executor: Executor | None = None,
-    folder: Path | None = None,
 ) -> Simulation:
     """Silhouettes to ask an index for: frames spread evenly over segments, each from one view."""
     poses, _ = read_poses(motion, segments)
@@ -350,9 +348,7 @@ def simulate_queries(
         spread(poses.take(np.flatnonzero(near_ground)), counts.near_ground),
         spread(laid, counts.laid_down),
     ]
-    return simulate(
-        merged(parts), avatars, bodies=1, views=1, seed=seed, executor=executor, folder=folder
-    )
+    return simulate(merged(parts), avatars, bodies=1, views=1, seed=seed, executor=executor)
 
 
 def spread(poses: Poses, count: int) -> Poses:
@@ -388,7 +384,6 @@ def build(
     spec: IndexSpec,
     *,
     executor: Executor | None = None,
-    shards: AbstractContextManager[Path] | None = None,
     progress: bool = False,
     log: Callable[[str], None] = lambda _: None,
 ) -> PoseIndex:
@@ -398,9 +393,6 @@ def build(
     ----------
     executor : Executor, optional
         Renders the silhouettes; by default threads of this process.
-    shards : context manager, optional
-        Gives the folder of the rendered shards, entered once the inputs are read; by default a
-        temporary one.
     progress : bool
         Whether to show progress bars.
     log : callable
@@ -410,8 +402,6 @@ def build(
     ------
     MotionError, GarmentError
         If the inputs are missing or malformed.
-    ShardError
-        If a part of the silhouettes cannot be rendered or read.
     """
     segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
     poses, dropped = read_poses(spec.motion, segments)
@@ -427,27 +417,24 @@ def build(
     kept, held, by_clip = split(segments)
     if not by_clip:
         log(NOT_HELD_OUT)
-    with shards or nullcontext() as folder:
-        simulation = simulate(
-            chosen,
-            avatars,
-            bodies=plan.bodies,
-            views=plan.views,
-            seed=plan.seed,
-            only_new=True,
-            progress=progress,
-            executor=executor,
-            folder=folder,
-        )
-        asked = simulate_queries(
-            spec.motion,
-            held,
-            make_avatars(CALIBRATION_AVATARS, spec.garments),
-            plan.calibration,
-            plan.seed + 1,
-            executor=executor,
-            folder=folder,
-        )
+    simulation = simulate(
+        chosen,
+        avatars,
+        bodies=plan.bodies,
+        views=plan.views,
+        seed=plan.seed,
+        only_new=True,
+        progress=progress,
+        executor=executor,
+    )
+    asked = simulate_queries(
+        spec.motion,
+        held,
+        make_avatars(CALIBRATION_AVATARS, spec.garments),
+        plan.calibration,
+        plan.seed + 1,
+        executor=executor,
+    )
     descriptor: Descriptor = DiagonalDescriptor()
     if plan.descriptor == "discriminant":
         descriptor = learn_descriptor(simulation, plan.seed)

@@ -9,8 +9,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import TemporaryFile
 from typing import Any, TypeVar
 
 import numpy as np
@@ -19,21 +18,20 @@ from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
-from index.build.parameters import RENDERING
 from index.build.poses import Poses
-from index.build.shard_files import (
-    code_version,
-    read_shard,
-    render_shard,
-    shard_name,
-    write_avatars,
-)
-from index.build.views import Shard
-from index.silhouettes import Silhouettes, sampled
-from index.store import SKELETON_DTYPE
+from index.build.views import PosedBodies, render_bodies
+from index.silhouettes import PACKED_BYTES, Silhouettes
+from index.skeleton import POINTS
+from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
 BLOCK = 4096
 """Silhouettes unpacked and described at a time."""
+
+BATCH = 100
+"""Bodies of one avatar rendered in one task: a second or two of work."""
+
+MAX_PENDING = 128
+"""Tasks handed out at a time: enough for the cores of a large cluster, 40 MB of transforms."""
 
 
 Result = TypeVar("Result")
@@ -90,9 +88,8 @@ def simulate(
     only_new: bool = False,
     progress: bool = False,
     executor: Executor | None = None,
-    folder: Path | None = None,
 ) -> Simulation:
-    """Render every pose on some bodies from some views, shard by shard.
+    """Render every pose on some bodies from some views.
 
     Parameters
     ----------
@@ -110,37 +107,46 @@ def simulate(
     progress : bool
         Whether to show a progress bar.
     executor : Executor, optional
-        Renders the shards; by default threads of this process.
-    folder : Path, optional
-        Where the shards are written and stay; those that are there already are not rendered
-        again. By default a temporary folder.
+        Renders the silhouettes; by default threads of this process.
 
     Returns
     -------
     Simulation
         Entries pose by pose, body by body, view by view.
-
-    Raises
-    ------
-    ShardError
-        If a shard cannot be rendered or read.
     """
     bodies = min(bodies, len(avatars))
     assigned = assign_avatars(len(poses) * bodies, len(avatars), seed)
-    shards = _shards(poses, avatars, assigned, views, seed, only_new)
+    batches = [
+        (avatar, own[start : start + BATCH])
+        for position, avatar in enumerate(avatars)
+        for own in [np.flatnonzero(assigned == position)]
+        for start in range(0, len(own), BATCH)
+    ]
+    tasks = (
+        (avatar, _posed(poses, numbers, bodies, avatar, only_new), views, seed)
+        for avatar, numbers in batches
+    )
+    entries = np.empty((len(assigned), views), ENTRY_DTYPE)
+    skeletons = np.empty((len(assigned), POINTS, 3), np.float16)
     with (
-        nullcontext(folder) if folder else TemporaryDirectory() as where,
+        TemporaryFile() as file,
         nullcontext(executor) if executor else ThreadPoolExecutor(os.cpu_count()) as pool,
+        tqdm(total=len(assigned), unit="body", desc="simulating", disable=not progress) as bar,
     ):
-        files = _render_missing(shards, len(assigned), avatars, Path(where), pool, progress)
-        store, entries, skeletons = _merge(files, len(assigned) * views)
+        # In a file, since a large index has no room in memory until it is compressed.
+        bits = np.memmap(file, np.uint8, shape=(len(assigned), views, PACKED_BYTES))
+        rendered = bounded_map(pool, render_bodies, tasks)
+        for (_, numbers), found in zip(batches, rendered, strict=True):
+            bits[numbers], entries[numbers], skeletons[numbers] = found
+            bar.update(len(numbers))
+        store = Silhouettes.compress(bits.reshape(-1, PACKED_BYTES))
     rows = np.repeat(np.arange(len(poses)), bodies)
     labels = np.zeros(len(assigned), SKELETON_DTYPE)
     labels["clip"], labels["frame"] = poses.clip[rows], poses.frame[rows]
     labels["subject"], labels["action"] = assigned, poses.action[rows]
     labels["speed"] = poses.speeds()[rows]
     return Simulation(
-        store, entries, skeletons, labels,
+        store, entries.ravel(), skeletons, labels,
         tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
     )  # fmt: skip
 
@@ -152,74 +158,28 @@ def assign_avatars(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
     return np.concatenate(rounds)[:count]
 
 
-def _shards(
-    poses: Poses,
-    avatars: Sequence[Avatar],
-    assigned: NDArray[np.int64],
-    views: int,
-    seed: int,
-    only_new: bool,
-) -> Iterator[Shard]:
-    bodies = len(assigned) // len(poses)
+def _posed(
+    poses: Poses, numbers: NDArray[np.int64], bodies: int, avatar: Avatar, only_new: bool
+) -> PosedBodies:
+    """Pose an avatar for the bodies of these numbers, of which each pose has ``bodies``."""
 
     @cache
-    def retargeting(clip: int, avatar: int) -> Retargeting:
-        return retarget(poses.clips[clip], avatars[avatar])
+    def retargeting(clip: int) -> Retargeting:
+        return retarget(poses.clips[clip], avatar)
 
-    def transforms(number: int) -> NDArray[np.float64]:
-        row, avatar = number // bodies, int(assigned[number])
-        rotations = poses.rotations(np.array([row]))
-        retargeted = retargeting(int(poses.clip[row]), avatar)
-        return pose_transforms(avatars[avatar], retargeted, rotations)[0]
-
-    for start in range(0, len(poses), RENDERING.shard_poses):
-        rows = np.arange(start, min(start + RENDERING.shard_poses, len(poses)))
-        numbers = range(bodies * start, bodies * (rows[-1] + 1))
-        yield Shard(
-            first=numbers.start,
-            avatar=assigned[numbers.start : numbers.stop],
-            transforms=np.stack([transforms(number) for number in numbers]),
-            foreshortened=np.repeat(only_new & ~np.isnan(poses.lying_deg[rows]), bodies),
-            views=views,
-            seed=seed,
-        )
-
-
-def _render_missing(
-    shards: Iterator[Shard],
-    bodies: int,
-    avatars: Sequence[Avatar],
-    folder: Path,
-    executor: Executor,
-    progress: bool,
-) -> list[Path]:
-    """Render the shards that have no file yet, and return the files of all, in order."""
-    # Workers may run in other folders.
-    folder = folder.resolve()
-    folder.mkdir(parents=True, exist_ok=True)
-    avatar_file, code = write_avatars(avatars, folder), code_version()
-    files = []
-    with tqdm(total=bodies, unit="body", desc="simulating", disable=not progress) as bar:
-
-        def missing() -> Iterator[tuple[Shard, Path, Path, str]]:
-            for shard in shards:
-                file = folder / shard_name(shard, avatar_file, code)
-                files.append(file)
-                if file.exists():
-                    bar.update(len(shard))
-                else:
-                    yield shard, avatar_file, file, code
-
-        for rendered in bounded_map(executor, render_shard, missing()):
-            bar.update(rendered)
-    return files
+    rows = numbers // bodies
+    transforms = [
+        pose_transforms(avatar, retargeting(int(poses.clip[row])), poses.rotations(row[None]))[0]
+        for row in rows
+    ]
+    return PosedBodies(numbers, np.stack(transforms), only_new & ~np.isnan(poses.lying_deg[rows]))
 
 
 def bounded_map(
     executor: Executor,
     function: Callable[..., Result],
     tasks: Iterable[tuple[Any, ...]],
-    max_pending: int = RENDERING.max_pending,
+    max_pending: int = MAX_PENDING,
 ) -> Iterator[Result]:
     """Call a function with each task's arguments; results in order, ``max_pending`` at a time.
 
@@ -236,23 +196,3 @@ def bounded_map(
     finally:
         for future in pending:
             future.cancel()
-
-
-def _merge(
-    files: Sequence[Path], count: int
-) -> tuple[Silhouettes, NDArray[np.void], NDArray[np.float16]]:
-    """Read shards one by one; return their silhouettes, compressed, entries and skeletons."""
-    in_each = len(read_shard(files[0]).entries)
-    sample = []
-    wanted = sampled(count)
-    for number in np.unique(wanted // in_each):
-        rows = wanted[wanted // in_each == number] % in_each
-        sample.append(read_shard(files[number]).bits[rows])
-    dictionary = np.concatenate(sample)
-    stores, entries, skeletons = [], [], []
-    for file in files:
-        shard = read_shard(file)
-        stores.append(Silhouettes.compress(shard.bits, dictionary))
-        entries.append(shard.entries)
-        skeletons.append(shard.skeletons)
-    return Silhouettes.joined(stores), np.concatenate(entries), np.concatenate(skeletons)

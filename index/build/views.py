@@ -1,9 +1,8 @@
-"""Virtual cameras on a hemisphere, and the shards of a simulation that they see."""
+"""Virtual cameras on a hemisphere, and the bodies that they see."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,46 +66,32 @@ def sample_views(
 _NEAR_GROUND = [POSTURES.index(posture) for posture in ("crawling", "lying")]
 
 
-@dataclass(frozen=True)
-class Shard:
-    """Posed bodies to render; the same shard and avatars give the same bytes anywhere.
+class PosedBodies(NamedTuple):
+    """Bodies of one avatar.
 
     Parameters
     ----------
-    first : int
-        Number of its first body in the simulation.
-    avatar : (N,) int64 array
-        Position of each body among the avatars.
+    numbers : (N,) int64 array
+        Their numbers in the simulation, which decide the cameras.
     transforms : (N, B, 3, 4) float64 array
         Transforms of the bones; see :func:`index.build.body.pose_transforms`.
     foreshortened : (N,) bool array
         Bodies seen along the trunk only.
-    views : int
-        Views per body.
-    seed : int
-        Decides, with the number of a body, its cameras.
     """
 
-    first: int
-    avatar: NDArray[np.int64]
+    numbers: NDArray[np.int64]
     transforms: NDArray[np.float64]
     foreshortened: NDArray[np.bool_]
-    views: int
-    seed: int
-
-    def __len__(self) -> int:
-        return len(self.avatar)
 
 
-@dataclass(frozen=True)
-class RenderedShard:
-    """The silhouettes of a shard.
+class RenderedBodies(NamedTuple):
+    """Bodies as their cameras see them.
 
     Parameters
     ----------
-    bits : (N * views, 768) uint8 array
-        Bit-packed normalised silhouettes, body by body, view by view.
-    entries : (N * views,) array of ENTRY_DTYPE
+    bits : (N, V, 768) uint8 array
+        Bit-packed normalised silhouettes.
+    entries : (N, V) array of ENTRY_DTYPE
     skeletons : (N, 24, 3) float16 array
     """
 
@@ -115,37 +100,36 @@ class RenderedShard:
     skeletons: NDArray[np.float16]
 
 
-def render_bodies(shard: Shard, avatars: Sequence[Avatar]) -> RenderedShard:
-    """Render every body of a shard from its views."""
-    views = shard.views
-    bits = np.empty((len(shard) * views, HEIGHT * WIDTH // 8), np.uint8)
-    entries = np.zeros(len(shard) * views, ENTRY_DTYPE)
-    skeletons = np.empty((len(shard), POINTS, 3), np.float16)
+def render_bodies(avatar: Avatar, posed: PosedBodies, views: int, seed: int) -> RenderedBodies:
+    """Render bodies from ``views`` views each; the same bytes in any process."""
+    count = len(posed.numbers)
+    bits = np.empty((count, views, HEIGHT * WIDTH // 8), np.uint8)
+    entries = np.zeros((count, views), ENTRY_DTYPE)
+    skeletons = np.empty((count, POINTS, 3), np.float16)
     silhouettes = np.empty((views, HEIGHT, WIDTH), np.uint8)
-    for row, transforms in enumerate(shard.transforms):
-        number, avatar = shard.first + row, avatars[shard.avatar[row]]
+    for row, (number, transforms) in enumerate(zip(posed.numbers, posed.transforms, strict=True)):
         points = posed_points(avatar, transforms[None])
         skeletons[row] = points[0]
         vertices = skin(
             avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
         )
         near_ground = classify_postures(points, BODY_UP)[0] in _NEAR_GROUND
-        foreshortened = bool(shard.foreshortened[row])
-        # As SeedSequence.spawn would give the body, whatever its shard.
-        seed = np.random.SeedSequence(shard.seed, spawn_key=(number,))
+        foreshortened = bool(posed.foreshortened[row])
+        # As SeedSequence.spawn would give the body, in whatever order they are rendered.
+        own_seed = np.random.SeedSequence(seed, spawn_key=(int(number),))
         cameras = sample_views(
             (_FORESHORTENED_OF if foreshortened else 1) * views,
-            np.random.default_rng(seed),
+            np.random.default_rng(own_seed),
             GROUND_ELEVATIONS_DEG if near_ground else ELEVATIONS_DEG,
         )
         if foreshortened:
             cameras = most_foreshortened(cameras, points[0], views)
         for view, camera in enumerate(cameras):
-            entries[row * views + view] = (
+            entries[row, view] = (
                 number, *_draw_view(avatar, vertices, points[0], camera, silhouettes[view])
             )  # fmt: skip
-        bits[row * views : (row + 1) * views] = pack(silhouettes)
-    return RenderedShard(bits, entries, skeletons)
+        bits[row] = pack(silhouettes)
+    return RenderedBodies(bits, entries, skeletons)
 
 
 def most_foreshortened(

@@ -19,7 +19,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
-from index import artefact, files
+from index import artefact
 from index.artefact import find_artefact, load_index, save_index
 from index.files import ArtefactError, npy_bytes
 from index.store import PoseIndex
@@ -175,26 +175,6 @@ class TestWhatIsNoIndex:
         assert (saved / "holiday.jpg").read_bytes() == b"sun"
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
-    @pytest.mark.parametrize("name", [".artefact-photographs", ".artefact-2"])
-    def test_hidden_neighbours_stay(self, toy_index: PoseIndex, saved: Path, name: str) -> None:
-        neighbour = saved.parent / name
-        neighbour.mkdir()
-        (neighbour / "holiday.jpg").write_bytes(b"sun")
-        # The staging folder of another index, whose name begins alike.
-        (saved.parent / ".artefact-2-x").mkdir()
-        (saved.parent / ".artefact-2-x" / files.STAGING_MARK).write_text("artefact-2")
-        save_index(toy_index, saved)
-        assert (neighbour / "holiday.jpg").read_bytes() == b"sun"
-        assert (saved.parent / ".artefact-2-x").exists()
-
-    def test_a_name_is_no_pattern(self, toy_index: PoseIndex, tmp_path: Path) -> None:
-        save_index(toy_index, tmp_path / "index[1]")
-        leftover = tmp_path / ".index[1]-x"
-        leftover.mkdir()
-        (leftover / files.STAGING_MARK).write_text("index[1]")
-        save_index(toy_index, tmp_path / "index[1]")
-        assert [p.name for p in tmp_path.iterdir()] == ["index[1]"]
-
 
 class TestFailedSave:
     @pytest.mark.parametrize("written", ["write_text", "write_bytes"])
@@ -226,9 +206,7 @@ class TestFailedSave:
         assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
-    def test_killed_while_writing_keeps_the_old_artefact(
-        self, toy_index: PoseIndex, saved: Path
-    ) -> None:
+    def test_killed_while_writing_keeps_the_old_artefact(self, saved: Path) -> None:
         # The manifest is written last: the process dies with every other file in place.
         script = f"""
 import dataclasses, os, pathlib, signal
@@ -241,40 +219,6 @@ save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
         ended = run(sys.executable, "-c", script)
         assert ended.returncode == -signal.SIGKILL
         assert contents(saved) == before
-        save_index(dataclasses.replace(toy_index, name="newer"), saved)
-        assert load_index(saved).name == "newer"
-        # What the killed one left is gone too.
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-    def test_killed_between_the_two_renames(self, toy_index: PoseIndex, saved: Path) -> None:
-        """The next build puts the old artefact back before anything else."""
-        script = f"""
-import dataclasses, os, pathlib, signal
-from index.artefact import load_index, save_index
-index, rename = load_index({str(saved)!r}), pathlib.Path.rename
-def rename_or_die(self, target):
-    if self.name == "new":
-        os.kill(os.getpid(), signal.SIGKILL)
-    return rename(self, target)
-pathlib.Path.rename = rename_or_die
-save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
-"""
-        before = contents(saved)
-        ended = run(sys.executable, "-c", script)
-        assert ended.returncode == -signal.SIGKILL
-        assert not saved.exists()
-        with files.staging(saved):
-            assert contents(saved) == before
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-    def test_another_save_that_is_under_way_keeps_its_files(
-        self, toy_index: PoseIndex, saved: Path
-    ) -> None:
-        with files.staging(saved) as other:
-            (other / "shard").write_text("drawn")
-            save_index(toy_index, saved)
-            assert (other / "shard").exists()
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
 
 def _full_disk(*_: object) -> None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import outline_distances, pack, unpack
 from index.build.simulate import Simulation
-from index.silhouettes import Silhouettes, sampled
+from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
 
@@ -33,18 +33,14 @@ def test_outlines_compress_several_times(toy_index: PoseIndex) -> None:
     assert len(stored.data) < len(stored) * 768 / 3
 
 
-@pytest.mark.parametrize("cuts", [[], [1], [40, 41, 99]])
-def test_compressed_in_parts_are_the_same_bytes(noise: np.ndarray, cuts: list[int]) -> None:
-    sample = noise[sampled(100)]
-    parts = [Silhouettes.compress(part, sample) for part in np.split(noise, cuts)]
-    joined, whole = Silhouettes.joined(parts), Silhouettes.compress(noise)
+def test_silhouettes_compress_block_by_block(
+    noise: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = Silhouettes.compress(noise)
+    monkeypatch.setattr("index.silhouettes._BLOCK", 30)
+    blocks = Silhouettes.compress(noise)
     for field in ("data", "ends", "dictionary"):
-        assert_array_equal(getattr(joined, field), getattr(whole, field))
-
-
-def test_joins_those_of_one_dictionary_only(noise: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="of the same dictionary"):
-        Silhouettes.joined([Silhouettes.compress(part) for part in np.split(noise, 2)])
+        assert_array_equal(getattr(blocks, field), getattr(whole, field))
 
 
 class TestHalved:
@@ -68,12 +64,9 @@ class TestHalved:
         assert np.mean(moved) < 0.4
         assert len(stored.halved().data) < 0.6 * len(stored.data)
 
-    def test_selects_and_joins_as_before(self, noise: np.ndarray) -> None:
-        halved = Silhouettes.compress(noise).halved()
-        parts = [halved.select(np.arange(60)), halved.select(np.arange(60, 100))]
-        assert_array_equal(
-            Silhouettes.joined(parts).take(np.arange(100)), halved.take(np.arange(100))
-        )
+    def test_selects_as_before(self, noise: np.ndarray) -> None:
+        halved, rows = Silhouettes.compress(noise).halved(), np.arange(60, 100)
+        assert_array_equal(halved.select(rows).take(np.arange(40)), halved.take(rows))
 
     def test_is_not_halved_twice(self, noise: np.ndarray) -> None:
         with pytest.raises(ValueError, match="at full resolution"):

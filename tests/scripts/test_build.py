@@ -44,7 +44,6 @@ def refusal(home: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> str:
     [
         *((out, "--mocap") for out in ("mocap", "mocap/", "mocap/bvh", "mocap/new", ".", "x/..")),
         *((out, "--garments") for out in ("garments", "garments/index")),
-        *((out, "--shards") for out in ("shards", "shards/index")),
     ],
 )
 def test_an_input_is_no_place_for_the_index(
@@ -53,8 +52,7 @@ def test_an_input_is_no_place_for_the_index(
     out: str,
     other: str,
 ) -> None:
-    options = ("--out", out, "--garments", "garments", "--shards", "shards")
-    said = refusal(home, monkeypatch, *options)
+    said = refusal(home, monkeypatch, "--out", out, "--garments", "garments")
     assert f"expected a folder apart from {other}" in said
 
 

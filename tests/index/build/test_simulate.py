@@ -41,6 +41,28 @@ def test_same_bytes_on_any_number_of_cores(
     assert_same(again, simulation)
 
 
+def test_same_bytes_in_tasks_of_any_size(
+    poses: Poses, avatars: list[Avatar], simulation: Simulation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("index.build.simulate.BATCH", 7)
+    assert_same(simulate(poses, avatars, bodies=1, views=12, seed=7), simulation)
+
+
+def test_same_bytes_on_a_dask_cluster(
+    poses: Poses, avatars: list[Avatar], simulation: Simulation
+) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra cluster")
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=False, dashboard_address=":0"
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+        executor = client.get_executor(pure=False)
+        again = simulate(poses, avatars, bodies=1, views=12, seed=7, executor=executor)
+    assert_same(again, simulation)
+
+
 def test_counts_and_labels(poses: Poses, avatars: list[Avatar]) -> None:
     some = poses.take(np.array([0, 20, 47]))
     result = simulate(some, avatars, bodies=2, views=5, seed=0)
