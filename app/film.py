@@ -10,7 +10,7 @@ from typing import Literal
 
 from app.camera import CameraSession
 from app.estimation.results import Evidence
-from app.estimation.upload import Upload
+from app.estimation.upload import Upload, UploadError
 from app.messages import SEARCH_FAILED
 from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
@@ -208,7 +208,7 @@ class VideoRun:
             end = VideoEnd("timeout", f"the video took longer than {self._timeout_s:g} seconds")
         except DeadlineError as error:
             end = VideoEnd("timeout", str(error))
-        except VideoError as error:
+        except (VideoError, UploadError) as error:
             end = VideoEnd("broken", str(error))
         except UnavailableError:
             end = VideoEnd("unavailable", SEARCH_FAILED)

@@ -116,12 +116,6 @@ class Video:
         """Close the source."""
         self._container.close()
 
-    @property
-    def fps(self) -> float:
-        """Frames a second on average."""
-        fps = float(self._stream.average_rate or 0)
-        return fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS
-
     def frames(self, stride: int = 1, max_pixels: float = math.inf) -> Iterator[Frame]:
         """Decode the video and yield every ``stride``-th frame.
 
@@ -132,7 +126,8 @@ class Video:
         TooLargeError
             If a frame has more than ``max_pixels``.
         """
-        codec, clock, count = self._stream.codec_context, Clock(1 / self.fps), 0
+        codec, count = self._stream.codec_context, 0
+        clock = Clock(float(self._stream.average_rate or 0))
         _check_size(codec.width, codec.height, max_pixels)
         pictures = self._pictures()
         # The fields of HEVC come one by one, as pictures of half the height.
@@ -258,8 +253,8 @@ def _filtered(graph: Graph) -> Iterator[VideoFrame]:
 class Clock:
     """Ascending timestamps: the video's own or, where they do not ascend, from its frame rate."""
 
-    def __init__(self, interval_s: float) -> None:
-        self._interval_s = interval_s
+    def __init__(self, fps: float) -> None:
+        self._interval_s = 1 / (fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS)
         self._began_s = 0.0
         self._last_s: float | None = None
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from app.camera import CameraSession, LateFrameError
+from app.estimation.upload import UploadError
 from app.film import VideoEnd, VideoRun
 from app.photograph import Estimator
 from app.scheduling.executor import Executor
@@ -80,6 +81,12 @@ async def test_every_frame_has_a_line(drawn: Estimator, executor: Executor) -> N
         ({"max_frames": 3}, 3, "complete", "after 3 frames"),
         ({"ends_at": 1}, 1, "shutdown", "being stopped"),
         ({"last": VideoError("undecodable", "video: cut off")}, 3, "broken", "video: cut off"),
+        (
+            {"failure": UploadError("frame", "too_large", "frame: too large")},
+            1,
+            "broken",
+            "too large",
+        ),
         ({"timeout_s": 0.05}, 1, "timeout", "longer than 0.05 seconds"),
         ({"failure": DeadlineError("too late")}, 1, "timeout", "too late"),
         ({"failure": UnavailableError("gone")}, 1, "unavailable", "cannot be searched"),

@@ -261,11 +261,9 @@ def test_damage_ends_with_a_picture_that_builds_on_no_other(tmp_path: Path) -> N
     assert re.fullmatch(r"\.{7,}!{1,9}\.{8}", damaged), damaged
 
 
-@given(
-    st.lists(st.none() | st.floats(allow_nan=False), min_size=1, max_size=20), st.floats(1e-3, 1.0)
-)
-def test_timestamps_always_ascend(reported: list[float | None], interval_s: float) -> None:
-    clock = Clock(interval_s)
+@given(st.lists(st.none() | st.floats(allow_nan=False), min_size=1), st.floats(-1, 2000))
+def test_timestamps_always_ascend(reported: list[float | None], fps: float) -> None:
+    clock = Clock(fps)
     times = [clock.timestamp(one) for one in reported]
     assert times[0] == 0
     assert camera.MIN_STEP_S == MIN_STEP_S
