@@ -49,7 +49,7 @@ class Settings(BaseSettings):
 
     index: Path = Field(
         default=DEFAULT_PATH,
-        description="Folder of the index artefact; with `POSE_MILVUS`, also one of several.",
+        description="Folder of the index artefact; with `POSE_MILVUS`, it may hold several.",
     )
     milvus: str | None = Field(
         default=None,

@@ -1,1 +1,1 @@
-"""The running service: its state, its index, the work on videos. Imports http and below."""
+"""The running service: its state, and the index that it loads. Imports http and below."""
