@@ -249,24 +249,24 @@ class BlazePoseDetector:
             copies=copies,
         )
 
-    def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
-        """Find bodies in a frame ``(H, W, 3)``, BGR; best first.
+    def detect(self, image: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
+        """Find bodies in an image ``(H, W, 3)``, BGR; best first, in pixels of the image.
 
-        The network sees the whole frame, so it finds only large people.
+        The network sees the whole image, so it finds only large people.
         """
-        height, width = frame.shape[:2]
+        height, width = image.shape[:2]
         factor = DETECTOR_PX / max(height, width)
         columns, rows = max(1, round(width * factor)), max(1, round(height * factor))
         left, top = (DETECTOR_PX - columns) // 2, (DETECTOR_PX - rows) // 2
-        image: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
-        small = cv2.cvtColor(resize(frame, columns, rows), cv2.COLOR_BGR2RGB)
-        image[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
-        values, log_odds = self._network.run(image)
+        padded: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
+        small = cv2.cvtColor(resize(image, columns, rows), cv2.COLOR_BGR2RGB)
+        padded[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
+        values, log_odds = self._network.run(padded)
         scores = sigmoid(log_odds[:, 0].astype(np.float64))
         used = np.flatnonzero(scores >= min_score)
         boxes, points = decode_anchors(values, used)
         kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
-        # The scale leads from pixel centres of the network's input to those of the frame.
+        # The scale leads from pixel centres of the network's input to those of the image.
         scale = np.array([width / columns, height / rows])
         points = (points - [left, top]) * scale - 0.5
         return [

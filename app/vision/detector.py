@@ -23,7 +23,7 @@ from app.vision.geometry import (
     non_max_suppression,
     resize,
 )
-from app.vision.hog import hog_margin
+from app.vision.hog import PERSON_PX, hog_margin
 from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
@@ -116,11 +116,18 @@ class NetworkDetector:
             MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a network
             detects nobody.
         """
-        found = self._movenet_people(frame)
+        height, width = frame.shape[:2]
+        tiles = tiles_of(width, height, self._min_person_px)
+        if not tiles:
+            return [], np.zeros((0, 3))
+        overview = resize(frame, *tiles[0].size)
+        found = self._movenet_people(frame, overview, tiles)
         windows: list[list[PersonWindow]] = [[] for _ in found]
-        scores = [[one.score, hog_margin(frame, one.box), 0.0] for one in found]
+        factor = tiles[0].factor
+        scores = [[one.score, _margin(frame, overview, factor, one.box), 0.0] for one in found]
         alone: list[Detection] = []
-        for body in self._body_detector.detect(frame, _MIN_BODY_SCORE):
+        for seen in self._body_detector.detect(overview, _MIN_BODY_SCORE):
+            body = replace(seen, window=seen.window.scaled(1 / factor))
             same = [i for i, one in enumerate(found) if _is_same(body.window, one.box)]
             if same:
                 best = max(same, key=lambda i: found[i].score)
@@ -132,14 +139,16 @@ class NetworkDetector:
         both = [replace(one, windows=tuple(own)) for one, own in zip(found, windows, strict=True)]
         return [*both, *alone], np.array(scores, np.float64).reshape(-1, 3)
 
-    def _movenet_people(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        """MoveNet's detections in the overview and tiles, one for each person, best first."""
+    def _movenet_people(
+        self, frame: NDArray[np.uint8], overview: NDArray[np.uint8], tiles: Sequence[Tile]
+    ) -> list[Detection]:
+        """MoveNet's detections in the overview and the other tiles, one a person, best first."""
         height, width = frame.shape[:2]
-        tiles = tiles_of(width, height, self._min_person_px)
         found: list[Detection] = []
         ranks: list[float] = []
         for number, tile in enumerate(tiles):
-            for person in self._movenet.detect(resize(crop(frame, tile.rect), *tile.size)):
+            picture = overview if number == 0 else resize(crop(frame, tile.rect), *tile.size)
+            for person in self._movenet.detect(picture):
                 box = tile.to_frame(person.box, width, height, _SEAM_PX)
                 if box is None or person.score < _MIN_MOVENET_SCORE:
                     continue
@@ -161,6 +170,14 @@ class NetworkDetector:
         if box is None or reading.presence < _MIN_PRESENCE:
             return None
         return Detection(box, 0.0, None, (body.window,))
+
+
+def _margin(
+    frame: NDArray[np.uint8], overview: NDArray[np.uint8], factor: float, box: Box
+) -> float:
+    """HOG's margin on a box, by the overview where the box is large enough in it."""
+    seen = box.scaled(factor)
+    return hog_margin(overview, seen) if seen.height >= PERSON_PX else hog_margin(frame, box)
 
 
 # Size of BlazePose's window relative to the one about MoveNet's box if both show one person.

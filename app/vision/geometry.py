@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -217,6 +216,11 @@ class PersonWindow:
         corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) * 2 - 0.5
         return transform_points(self.to_frame(2), corners)
 
+    def scaled(self, factor: float) -> PersonWindow:
+        """The same window in a frame resized by ``factor``."""
+        x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
+        return PersonWindow(x, y, self.side * factor, self.roll_deg)
+
     def drift(self, other: PersonWindow) -> float:
         """Mean distance to the corners of another window, as a share of this one's side."""
         apart = self.corners() - other.corners()
@@ -259,9 +263,9 @@ def sample_window(
     part = frame[low[1] : high[1], low[0] : high[0]]
     matrix = window.to_frame(pixels)
     matrix[:, 2] -= low
-    # Averaging over whole numbers of pixels is ten times as fast.
-    factor = round(window.side / (max_step * pixels))
-    if factor > 1:
+    halvings = round(math.log2(window.side / (max_step * pixels)))
+    if halvings > 0:
+        factor = 2**halvings
         factors = np.minimum(factor, high - low)
         reduced = (high - low) // factors
         width, height = (factors * reduced).tolist()
@@ -277,10 +281,8 @@ def sample_window(
 PixelRect = tuple[int, int, int, int]
 """First column and row, width and height in whole pixels; may reach beyond the image."""
 
-_Pixel = TypeVar("_Pixel", np.uint8, np.float32)
 
-
-def crop(image: NDArray[_Pixel], rect: PixelRect) -> NDArray[_Pixel]:
+def crop(image: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
     """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
 
     Returns
@@ -303,8 +305,8 @@ def crop(image: NDArray[_Pixel], rect: PixelRect) -> NDArray[_Pixel]:
 
 
 def crop_and_resize(
-    image: NDArray[_Pixel], rect: PixelRect, width: int, height: int, max_crop_px: int = 2**22
-) -> NDArray[_Pixel]:
+    image: NDArray[np.uint8], rect: PixelRect, width: int, height: int, max_crop_px: int = 2**22
+) -> NDArray[np.uint8]:
     """Crop an image as :func:`crop` does and resize the crop to ``width`` x ``height``.
 
     A rectangle with a person's proportions about a wide, flat box may be many times as large as the
@@ -325,11 +327,15 @@ def crop_and_resize(
     return result
 
 
-def resize(image: NDArray[_Pixel], width: int, height: int) -> NDArray[_Pixel]:
-    """Resize an image, by averaging areas where it shrinks and bilinearly where it grows."""
-    rows, columns = image.shape[:2]
-    if (rows, columns) == (height, width):
-        return image
-    shrinks = width < columns or height < rows
-    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    return cv2.resize(image, (width, height), interpolation=kind).astype(image.dtype, copy=False)
+def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Resize an image ``(H, W)`` or ``(H, W, C)`` bilinearly, by halves first where it shrinks.
+
+    A half is the mean of two pixels each way, so every pixel counts. That takes a tenth of the time
+    of means over areas of any size, and its whole numbers are the same on every processor.
+    """
+    while (size := image.shape[1::-1]) != (width, height):
+        step = tuple(
+            max(wanted, now // 2) for now, wanted in zip(size, (width, height), strict=True)
+        )
+        image = cv2.resize(image, step, interpolation=cv2.INTER_LINEAR).astype(np.uint8, copy=False)
+    return image

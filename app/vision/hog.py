@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box, PixelRect, resize
 
-# The detector was trained on windows of this size, in which a person is 96 px tall.
+PERSON_PX = 96
+"""Height of a person in the windows on which the detector was trained."""
+
 _WINDOW_PX = (64, 128)
-_PERSON_PX = 96
 _STRIDE = (8, 8)
 # Windows in which a box is scored, relative to the box.
 _BOX_SCALE = 1.06
@@ -39,7 +40,7 @@ _HOG = _people_classifier()
 
 def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     """Signed distance from the decision boundary: how much a box looks like a person."""
-    scale = _BOX_SCALE * box.height / _PERSON_PX
+    scale = _BOX_SCALE * box.height / PERSON_PX
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)

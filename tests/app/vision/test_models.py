@@ -6,20 +6,16 @@ import hashlib
 import json
 import shutil
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from app.vision import models
 from app.vision.models import (
-    FITTED,
     FOLDER,
     MODELS,
     check_networks,
-    fitted_constants,
     network_path,
-    write_fitted,
 )
 from app.vision.tflite import NetworkError
 from tests.conftest import ROOT
@@ -30,16 +26,13 @@ DOCUMENT = json.loads(MODELS.read_text())
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the folder, used in its place."""
     copy = tmp_path / "models"
     shutil.copytree(FOLDER, copy, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(models, "FOLDER", copy)
     monkeypatch.setattr(models, "MODELS", copy / MODELS.name)
-    monkeypatch.setattr(models, "FITTED", copy / FITTED.name)
-    fitted_constants.cache_clear()
-    yield copy
-    fitted_constants.cache_clear()
+    return copy
 
 
 def test_every_file_is_listed_with_its_hash() -> None:
@@ -93,14 +86,3 @@ def test_service_does_not_start_with_an_altered_file(tmp_path: Path, how: str) -
     assert ended.stdout == ""
     assert file in ended.stderr
     assert ended.stderr.count("\n") == 1
-
-
-def test_fitted_constants_are_replaced_by_part(folder: Path) -> None:
-    for part in json.loads(FITTED.read_text()).values():
-        assert set(part) == {"command", "data", "constants"}
-    before = fitted_constants("confidence")
-    write_fitted("detection", "a command", "some data", {"network": 1.5})
-    assert fitted_constants("detection") == {"network": 1.5}
-    assert fitted_constants("confidence") == before
-    written = json.loads((folder / FITTED.name).read_text())
-    assert written["detection"]["command"] == "a command"
