@@ -98,7 +98,7 @@ class MilvusNeighbours:
 
 
 def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | None:
-    """Load the index that the alias names, to be searched in Milvus.
+    """Load the index that the alias names, to be searched in Milvus; None if it is ``known``.
 
     Parameters
     ----------
@@ -107,14 +107,13 @@ def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | No
     artefacts : Path
         The artefact, or a folder of several.
     known : str
-        A version that is loaded already; None is returned if the alias names it.
+        The version that is loaded already.
 
     Raises
     ------
-    ArtefactError
-        If the collection or an artefact of its version cannot be used.
-    UnavailableError
-        If Milvus does not answer, or nothing is published.
+    ArtefactError, UnavailableError
+        If the collection or its artefact cannot be used; if Milvus does not answer, or nothing is
+        published.
     """
     with milvus_errors():
         client = MilvusClient(uri, timeout=_TIMEOUT_S)

@@ -29,25 +29,17 @@ ONCE = {"timeout": 120.0}
 def publish(uri: str, index: PoseIndex) -> None:
     """Write an index into a collection of its own, then have the alias name that.
 
-    A publication that was interrupted can be repeated, and an earlier index published again.
-
-    Raises
-    ------
-    ArtefactError
-        If a collection of that name holds other vectors.
-    UnavailableError
-        If Milvus does not answer. The alias then names what it named before.
+    If anything fails, the alias names what it named before, and publishing can be repeated.
     """
     name = PREFIX + index.version.removeprefix("sha256:")
     with milvus_errors():
         client = MilvusClient(uri, **ONCE)
         names = client.list_collections(**ONCE)
         is_named = any(ALIAS in client.list_aliases(one, **ONCE)["aliases"] for one in names)
-        is_there = name in names
-        if is_there and client.get_collection_stats(name, **ONCE)["row_count"] != len(index):
+        if name in names and client.get_collection_stats(name, **ONCE)["row_count"] != len(index):
             client.drop_collection(name, **ONCE)
-            is_there = False
-        if not is_there:
+            names.remove(name)
+        if name not in names:
             _write(client, name, index)
         client.load_collection(name, **ONCE)
         MilvusNeighbours(client, name).check(index)
