@@ -9,7 +9,6 @@ and the others are known, for all avatars and cameras alike: 19 frames x 4 avata
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,15 +33,13 @@ from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 KNOWN = 2925
 """The paper's number of training silhouettes."""
 
-FRAMES = {"walk": 28, "basketball": 28, "jump": 28, "climb": 27}
-UNSEEN_FRAMES = {"walk": 5, "basketball": 5, "jump": 5, "climb": 4}
 STRETCHES = {
-    "walk": ("07_01", 20),
-    "basketball": ("basketball_train_1", 20),
-    "jump": ("jump_train_2", 20),
-    "climb": ("01_02", 200),
+    "walk": ("07_01", 20, 28, 5),
+    "basketball": ("basketball_train_1", 20, 28, 5),
+    "jump": ("jump_train_2", 20, 28, 5),
+    "climb": ("01_02", 200, 27, 4),
 }
-"""Clip and first frame of each action."""
+"""Clip and first frame of each action, its number of frames, and of those that are unseen."""
 
 STEP = 2
 """Frames from one sample to the next, for 15 samples a second."""
@@ -59,9 +56,7 @@ def rig() -> NDArray[np.void]:
     return cameras
 
 
-def film(
-    poses: Poses, avatars: Sequence[Avatar], cameras: NDArray[np.void], *, progress: bool = False
-) -> Simulation:
+def film(poses: Poses, avatars: Sequence[Avatar], cameras: NDArray[np.void]) -> Simulation:
     """Film every pose on every avatar before every camera, in that order."""
     bodies, views = len(avatars), len(cameras)
     to_camera = camera_rotation(
@@ -77,7 +72,7 @@ def film(
     entries = np.zeros(count * views, ENTRY_DTYPE)
     skeletons = np.empty((count, POINTS, 3), np.float16)
     labels = np.zeros(count, SKELETON_DTYPE)
-    for skeleton in tqdm(range(count), desc="filming", unit="body", disable=not progress):
+    for skeleton in tqdm(range(count), desc="filming", unit="body"):
         row, body = divmod(skeleton, bodies)
         avatar, clip = avatars[body], int(poses.clip[row])
         rotations = poses.rotations(np.array([row]))
@@ -100,36 +95,28 @@ def film(
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class PaperData:
-    """Silhouettes known to the index, and unseen ones."""
-
-    known: Simulation
-    unseen: Simulation
-
-
-def paper_data(motion: Path, *, step: int = STEP, progress: bool = False) -> PaperData:
+def paper_data(motion: Path) -> tuple[Simulation, Simulation]:
     """Simulate the 2,925 known and the 608 unseen silhouettes."""
     avatars = make_avatars(PAPER_AVATARS, None)
-    known_rows, unseen_rows, parts = [], [], []
-    segments = {s.action: s for s in read_manifest(motion)}
-    for action, (clip, first) in STRETCHES.items():
-        end = first + step * FRAMES[action]
-        parts.append(Segment(clip, segments[action].subject, action, first, end))
+    subjects = {segment.action: segment.subject for segment in read_manifest(motion)}
+    parts = [
+        Segment(clip, subjects[action], action, first, first + STEP * frames)
+        for action, (clip, first, frames, _) in STRETCHES.items()
+    ]
     poses, _ = read_poses(motion, parts)
+    known_rows, unseen_rows = [], []
     for part in parts:
-        wanted = np.arange(part.start, part.end, step)
-        number = [c.name for c in poses.clips].index(part.clip)
-        found = [np.flatnonzero((poses.clip == number) & (poses.frame == f)) for f in wanted]
-        rows = np.concatenate(found)
-        asked = (
-            np.linspace(0, len(rows) - 1, UNSEEN_FRAMES[part.action] + 2)[1:-1].round().astype(int)
-        )
-        unseen_rows.append(rows[asked])
-        known_rows.append(np.delete(rows, asked))
-    known = film(poses.take(np.concatenate(known_rows)), avatars, rig(), progress=progress)
-    unseen = film(poses.take(np.concatenate(unseen_rows)), avatars, rig(), progress=progress)
-    return PaperData(known.take(np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), unseen)
+        number = [clip.name for clip in poses.clips].index(part.clip)
+        wanted = np.isin(poses.frame, np.arange(part.start, part.end, STEP))
+        rows = np.flatnonzero((poses.clip == number) & wanted)
+        spread = np.linspace(0, len(rows) - 1, STRETCHES[part.action][3] + 2)
+        unseen = spread[1:-1].round().astype(int)
+        unseen_rows.append(rows[unseen])
+        known_rows.append(np.delete(rows, unseen))
+    known, asked = (
+        film(poses.take(np.concatenate(rows)), avatars, rig()) for rows in (known_rows, unseen_rows)
+    )
+    return known.take(np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), asked
 
 
 def joint_errors(

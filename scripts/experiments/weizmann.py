@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,11 +31,11 @@ from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from descriptor.descriptor import Descriptor, DiagonalDescriptor
-from descriptor.silhouette import HEIGHT, WIDTH, normalise
+from descriptor.descriptor import DiagonalDescriptor
+from descriptor.silhouette import normalise
 from index import DEFAULT_PATH
 from scripts.experiments.paper_data import nearest
-from scripts.metrics import confusion
+from scripts.metrics import confusion, percent
 
 ACTIONS = ("bend", "jack", "jump", "pjump", "run", "side", "skip", "walk", "wave1", "wave2")
 SAME_ACTION = {
@@ -57,14 +57,22 @@ IN_ORDER = 8
 """Consecutive frames that are compared at a time: a third of a second. The discriminant descriptor
 recognises as many sequences with any number from 3 to 16."""
 
-CLOSE = 0.1
-"""A vote led by a smaller share of the frames may change with the next drawing."""
-
 FRAMES_PER_S = 25.0
 FRAME = (144, 180)
 """Height and width of the data set's videos."""
 
 Mask = NDArray[np.generic]
+Describe = Callable[[NDArray[np.uint8]], NDArray[np.float32]]
+"""Normalised silhouettes ``(F, 128, 48)`` to vectors ``(F, D)``."""
+
+
+@dataclass(frozen=True)
+class Film:
+    """Masks ``(H, W)`` of one person performing one action, in order; none without a person."""
+
+    person: str
+    action: str
+    masks: tuple[Mask, ...]
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
@@ -81,53 +89,23 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     """Run the experiment."""
     file = options.weizmann
     films = read_films(file or options.shared / "real" / "weizmann" / "classification_masks.mat")
-    return measure(films, load_estimator(Settings(index=DEFAULT_PATH)))
-
-
-def measure(films: Sequence[Film], estimator: Estimator) -> dict[str, object]:
-    """Return the figures of the paper's protocol and of camera sessions."""
-    own = estimator.index.descriptor
-    recognise = partial(leave_one_person_out, [film.normalised() for film in films])
-    votes = {
-        "paper": recognise(DiagonalDescriptor(), mirrored=False),
-        "ours": recognise(own, mirrored=True),
-        "pixels": recognise(Pixels(), mirrored=True),
-        "ours_in_order": recognise(own, mirrored=True, frames=IN_ORDER),
-    }
-    sessions = [watch(film, estimator) for film in films]
+    estimator = load_estimator(Settings(index=DEFAULT_PATH))
+    own = estimator.index.descriptor.describe
+    votes = partial(vote_figures, films)
     return {
         "sequences": len(films),
         "silhouettes": sum(len(film.masks) for film in films),
         "actions": list(ACTIONS),
         "in_order": IN_ORDER,
         "published_percent": PUBLISHED,
-        "votes": {name: recognition.figures() for name, recognition in votes.items()},
-        "sessions": session_figures(films, sessions),
-        "session_counts": session_counts(films, sessions),
+        "votes": {
+            "paper": votes(DiagonalDescriptor().describe, mirrored=False),
+            "ours": votes(own, mirrored=True),
+            "pixels": votes(pixels, mirrored=True),
+            "ours_in_order": votes(own, mirrored=True, frames=IN_ORDER),
+        },
+        "sessions": session_figures([(film, watch(film, estimator)) for film in films]),
     }
-
-
-@dataclass(frozen=True)
-class Film:
-    """Masks ``(H, W)`` of one person performing one action, in order; none without a person."""
-
-    person: str
-    action: str
-    masks: tuple[Mask, ...]
-
-    def normalised(self) -> Recording:
-        """Normalise its silhouettes."""
-        silhouettes = [normalise(mask)[0] for mask in self.masks]
-        return Recording(self.person, self.action, np.stack(silhouettes))
-
-
-@dataclass(frozen=True)
-class Recording:
-    """Normalised silhouettes ``(F, 128, 48)`` of one person performing one action."""
-
-    person: str
-    action: str
-    silhouettes: NDArray[np.uint8]
 
 
 def read_films(file: Path) -> list[Film]:
@@ -165,46 +143,9 @@ def _film(field: str, masks: Mask, expected: str) -> Film:
     return Film(person, action, tuple(mask for mask in np.moveaxis(masks, 2, 0) if mask.any()))
 
 
-class Pixels:
-    """A silhouette as its own descriptor."""
-
-    def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Return the pixels ``(B, 6144)`` of silhouettes ``(B, 128, 48)``."""
-        return silhouettes.reshape(len(silhouettes), -1).astype(np.float32)
-
-    def mirror(self, vectors: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the pixels of the mirrored silhouettes."""
-        return vectors.reshape(-1, HEIGHT, WIDTH)[:, :, ::-1].reshape(vectors.shape)
-
-
-@dataclass(frozen=True)
-class Recognition:
-    """Actions recognised by a vote over frames, for people who were left out.
-
-    ``truth`` and ``answer`` are positions in ``actions``, of each recording; ``frames_right`` is
-    the share of all frames, or of all stretches of frames; ``lead`` is the share of a recording's
-    votes by which the answer leads the next action.
-    """
-
-    actions: tuple[str, ...]
-    truth: NDArray[np.int64]
-    answer: NDArray[np.int64]
-    frames_right: float
-    lead: NDArray[np.float64]
-
-    @property
-    def right(self) -> float:
-        """The share of the recordings."""
-        return float((self.truth == self.answer).mean())
-
-    def figures(self) -> dict[str, object]:
-        """Return percentages, close votes and confusions: truth in rows, answers in columns."""
-        return {
-            "sequences_percent": 100 * self.right,
-            "frames_percent": 100 * self.frames_right,
-            "close_votes": int((self.lead < CLOSE).sum()),
-            "confusion": confusion(len(self.actions), self.truth, self.answer).tolist(),
-        }
+def pixels(silhouettes: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Describe silhouettes by their pixels."""
+    return silhouettes.reshape(len(silhouettes), -1).astype(np.float32)
 
 
 def stretches(vectors: NDArray[np.float32], frames: int) -> NDArray[np.float32]:
@@ -214,41 +155,36 @@ def stretches(vectors: NDArray[np.float32], frames: int) -> NDArray[np.float32]:
     return np.ascontiguousarray(windows.swapaxes(1, 2)).reshape(len(windows), -1)
 
 
-def leave_one_person_out(
-    recordings: Sequence[Recording],
-    descriptor: Descriptor | Pixels,
-    *,
-    mirrored: bool,
-    frames: int = 1,
-) -> Recognition:
-    """Recognise the recordings of each person by those of all others.
+def vote_figures(
+    films: Sequence[Film], describe: Describe, *, mirrored: bool, frames: int = 1
+) -> dict[str, object]:
+    """Recognise the films of each person by those of all others; percentages and confusions.
 
     If ``mirrored``, known frames stand for their mirror images too. ``frames`` consecutive ones
     are compared at a time.
     """
-    actions = tuple(sorted({recording.action for recording in recordings}))
-    described = [descriptor.describe(recording.silhouettes) for recording in recordings]
-    vectors = [stretches(v, frames) for v in described]
-    mirror_images = [stretches(descriptor.mirror(v), frames) for v in described]
-    truth = np.array([actions.index(recording.action) for recording in recordings])
-    lengths = [len(v) for v in vectors]
-    answer, lead = np.zeros(len(recordings), np.int64), np.zeros(len(recordings))
-    frames_right = 0
-    for person in {recording.person for recording in recordings}:
-        asked = np.array([recording.person == person for recording in recordings])
-        rows = np.flatnonzero(~asked).tolist()
-        known = [vectors[row] for row in rows] + [mirror_images[row] for row in rows if mirrored]
-        labels = np.concatenate([np.full(lengths[row], truth[row]) for row in rows])
-        labels = np.tile(labels, 2) if mirrored else labels
+    silhouettes = [np.stack([normalise(mask)[0] for mask in film.masks]) for film in films]
+    vectors = [stretches(describe(one), frames) for one in silhouettes]
+    mirror_images = [stretches(describe(one[:, :, ::-1]), frames) for one in silhouettes]
+    truth = np.array([ACTIONS.index(film.action) for film in films])
+    answer, frames_right = np.zeros(len(films), np.int64), 0
+    for person in {film.person for film in films}:
+        others = [row for row, film in enumerate(films) if film.person != person]
+        known = [vectors[row] for row in others]
+        labels = np.repeat(truth[others], [len(one) for one in known])
+        if mirrored:
+            known += [mirror_images[row] for row in others]
+            labels = np.tile(labels, 2)
         compared = np.concatenate(known)
-        for row in np.flatnonzero(asked).tolist():
+        for row in [row for row, film in enumerate(films) if film.person == person]:
             votes = labels[nearest(compared, vectors[row], 1)[:, 0]]
-            counts = np.bincount(votes, minlength=len(actions))
-            answer[row] = counts.argmax()
-            second, first = np.sort(counts)[-2:]
-            lead[row] = (first - second) / len(votes)
-            frames_right += int(counts[truth[row]])
-    return Recognition(actions, truth, answer, frames_right / sum(lengths), lead)
+            answer[row] = np.bincount(votes, minlength=len(ACTIONS)).argmax()
+            frames_right += int((votes == truth[row]).sum())
+    return {
+        "sequences_percent": percent(truth == answer),
+        "frames_percent": 100 * frames_right / sum(map(len, vectors)),
+        "confusion": confusion(len(ACTIONS), truth, answer).tolist(),
+    }
 
 
 @dataclass(frozen=True)
@@ -270,63 +206,44 @@ def watch(film: Film, estimator: Estimator) -> Session:
     sums: dict[str, float] = {}
     votes: Counter[str] = Counter()
     frames = []
-    for number, mask in enumerate(in_frames(film)):
-        upload = Upload(mask=cv2.imencode(".png", mask)[1].tobytes())
+    for number, mask in enumerate(film.masks):
+        upload = Upload(mask=cv2.imencode(".png", in_frame(mask))[1].tobytes())
         result = session.process(upload, number / FRAMES_PER_S, 7, Job(), "silhouette")
         for person in result.persons[:1]:
             if person.action is not None:
-                label = person.action.label
-                frames.append(label)
-                sums[label] = sums.get(label, 0.0) + person.action.probability
+                frames.append(person.action.label)
+                sums[frames[-1]] = sums.get(frames[-1], 0.0) + person.action.probability
             votes.update(h.label.action for h in person.hypotheses[:1])
-    return Session(
-        max(sums, key=sums.__getitem__, default=None),
-        tuple(frames),
-        max(votes, key=votes.__getitem__, default=None),
-    )
+    answer = max(sums, key=sums.__getitem__, default=None)
+    vote = max(votes, key=votes.__getitem__, default=None)
+    return Session(answer, tuple(frames), vote)
 
 
-def in_frames(film: Film) -> Iterator[NDArray[np.uint8]]:
-    """Yield masks of a film in frames of the size of its video, all at the same place."""
-    height, width = FRAME
-    for mask in film.masks:
-        rows, columns = mask.shape
-        frame = np.zeros(FRAME, np.uint8)
-        top, left = (height - rows) // 2, (width - columns) // 2
-        frame[top : top + rows, left : left + columns] = mask
-        yield frame
+def in_frame(mask: Mask) -> NDArray[np.uint8]:
+    """Put a mask into the middle of a frame of the size of its video."""
+    (height, width), (rows, columns) = FRAME, mask.shape
+    frame = np.zeros(FRAME, np.uint8)
+    top, left = (height - rows) // 2, (width - columns) // 2
+    frame[top : top + rows, left : left + columns] = mask
+    return frame
 
 
-def session_figures(films: Sequence[Film], sessions: Sequence[Session]) -> dict[str, Any]:
-    """Return figures of each action that sessions recognise too, and of all of them."""
-    watched = [
-        (film.action, SAME_ACTION[film.action], session)
-        for film, session in zip(films, sessions, strict=True)
-        if film.action in SAME_ACTION
-    ]
-
-    def figures(name: str) -> dict[str, Any]:
-        rows = [(label, one) for action, label, one in watched if name in (action, "all")]
+def session_figures(watched: Sequence[tuple[Film, Session]]) -> dict[str, Any]:
+    """Return percentages of each action that sessions recognise too, and of all of them."""
+    figures: dict[str, Any] = {}
+    for name in (*SAME_ACTION, "all"):
+        rows = [
+            (SAME_ACTION[film.action], session)
+            for film, session in watched
+            if film.action in SAME_ACTION and name in (film.action, "all")
+        ]
         frames = [label == frame for label, one in rows for frame in one.frames]
-        return {
+        figures[name] = {
             "as": SAME_ACTION.get(name),
             "sequences": len(rows),
-            "percent": _percent([label == one.answer for label, one in rows]),
-            "none_percent": _percent([one.answer is None for _, one in rows]),
-            "frames_percent": _percent(frames),
-            "vote_percent": _percent([label == one.vote for label, one in rows]),
+            "percent": percent([label == one.answer for label, one in rows]),
+            "none_percent": percent([one.answer is None for _, one in rows]),
+            "frames_percent": percent(frames) if frames else None,
+            "vote_percent": percent([label == one.vote for label, one in rows]),
         }
-
-    return {name: figures(name) for name in (*SAME_ACTION, "all")}
-
-
-def _percent(right: Sequence[bool]) -> float | None:
-    return 100 * float(np.mean(right)) if right else None
-
-
-def session_counts(films: Sequence[Film], sessions: Sequence[Session]) -> dict[str, dict[str, int]]:
-    """Count what sessions recognised in each of the ten actions."""
-    counts: dict[str, Counter[str]] = {}
-    for film, session in zip(films, sessions, strict=True):
-        counts.setdefault(film.action, Counter())[session.answer or "none"] += 1
-    return {action: dict(sorted(counts[action].items())) for action in sorted(counts)}
+    return figures
