@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,14 +53,27 @@ CALIBRATION = Calibration(tuple(0.3 if name == "log_votes" else -0.3 for name in
 """Higher where a hypothesis is near, fits well and has many votes."""
 
 
+Limbs = tuple[float, float, float, float, float]
+"""Of one side, radians: arm ahead, elbow bent, leg ahead, knee bent, arm aside."""
+
+
 def stick_figure(rng: np.random.Generator) -> NDArray[np.float64]:
     """A random pose ``(24, 3)`` in body axes: a standing person who swings arms and legs."""
+    return posed_figure(
+        *(
+            (*rng.uniform((-1.2, 0, -0.8, 0), (1.2, 1.4, 0.8, 1.0)), rng.uniform(0.1, 1.5))
+            for _ in range(2)
+        )
+    )
+
+
+def posed_figure(left: Limbs, right: Limbs) -> NDArray[np.float64]:
+    """A standing person ``(24, 3)`` in body axes."""
     points = dict.fromkeys(POINT_NAMES, np.zeros(3))
     points["spine"], points["chest"] = np.array([0, 0.12, 0]), np.array([0, 0.3, 0])
     points["neck"], points["head"] = np.array([0, 0.52, 0]), np.array([0, 0.66, 0.03])
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        arm, elbow, leg, knee = rng.uniform((-1.2, 0, -0.8, 0), (1.2, 1.4, 0.8, 1.0))
-        spread = rng.uniform(0.1, 1.5)
+    for side, sign, limbs in (("left", 1.0, left), ("right", -1.0, right)):
+        arm, elbow, leg, knee, spread = limbs
         points[f"{side}_shoulder"] = np.array([0.18 * sign, 0.46, 0])
         points[f"{side}_elbow"] = points[f"{side}_shoulder"] + 0.28 * _swing(arm, spread * sign)
         points[f"{side}_wrist"] = points[f"{side}_elbow"] + 0.26 * _swing(
@@ -95,31 +108,43 @@ def draw_figure(plane: NDArray[np.float64]) -> NDArray[np.uint8]:
     return canvas
 
 
-def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseIndex:
-    """An index of stick figures: ``poses * views`` entries."""
-    rng = np.random.default_rng(seed)
-    skeletons = np.array([stick_figure(rng) for _ in range(poses)])
-    entries = np.zeros(poses * views, ENTRY_DTYPE)
-    silhouettes = []
-    for number, entry in enumerate(entries):
-        # No view exactly from the side: rounding would decide which way it faces.
-        azimuth, elevation = 20.0 + 360.0 / views * (number % views), 10.0
-        points = skeletons[number // views] @ camera_rotation(azimuth, elevation).T
-        silhouette, placement = normalise(draw_figure(project(points, CAMERA_DISTANCE_M)))
-        silhouettes.append(silhouette)
-        entry["skeleton"] = number // views
-        entry["azimuth_deg"], entry["elevation_deg"] = azimuth, elevation
-        entry["distance"] = CAMERA_DISTANCE_M
-        entry["scale"] = placement.scale * PIXELS_PER_METRE
-        offset = placement.to_normalised([CANVAS / 2, CANVAS / 2])
-        entry["offset_x"], entry["offset_y"] = offset
-    labels = np.zeros(poses, SKELETON_DTYPE)
-    labels["frame"] = np.arange(poses)
-    labels["action"] = np.arange(poses) % 2
+def draw_view(
+    skeleton: NDArray[np.float64], azimuth_deg: float, elevation_deg: float, roll_deg: float = 0.0
+) -> tuple[NDArray[np.uint8], dict[str, float]]:
+    """The normalised silhouette of a figure ``(24, 3)``, and its camera and placement."""
+    points = skeleton @ camera_rotation(azimuth_deg, elevation_deg, roll_deg).T
+    silhouette, placement = normalise(draw_figure(project(points, CAMERA_DISTANCE_M)))
+    offset_x, offset_y = placement.to_normalised([CANVAS / 2, CANVAS / 2])
+    return silhouette, {
+        "azimuth_deg": azimuth_deg,
+        "elevation_deg": elevation_deg,
+        "roll_deg": roll_deg,
+        "distance": CAMERA_DISTANCE_M,
+        "scale": placement.scale * PIXELS_PER_METRE,
+        "offset_x": offset_x,
+        "offset_y": offset_y,
+    }
+
+
+def index_of_figures(
+    name: str,
+    skeletons: NDArray[np.float64],
+    views: Sequence[tuple[NDArray[np.uint8], dict[str, float]]],
+    action: NDArray[np.integer],
+    actions: tuple[str, ...] = ("walk", "jump"),
+) -> PoseIndex:
+    """An index of figures ``(S, 24, 3)``, each with equally many views of :func:`draw_view`."""
+    entries = np.zeros(len(views), ENTRY_DTYPE)
+    entries["skeleton"] = np.arange(len(views)) // (len(views) // len(skeletons))
+    for entry, (_, camera) in zip(entries, views, strict=True):
+        for field, value in camera.items():
+            entry[field] = value
+    labels = np.zeros(len(skeletons), SKELETON_DTYPE)
+    labels["frame"], labels["action"] = np.arange(len(skeletons)), action
     descriptor = DiagonalDescriptor()
-    stack = np.array(silhouettes)
+    stack = np.array([silhouette for silhouette, _ in views])
     return PoseIndex(
-        name="sticks",
+        name=name,
         descriptor=descriptor,
         vectors=descriptor.describe(stack),
         entries=entries,
@@ -127,14 +152,27 @@ def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseInde
         skeleton_labels=labels,
         clips=("sticks_01",),
         subjects=("stick",),
-        actions=("walk", "jump"),
+        actions=actions,
         silhouette_store=Silhouettes.compress(pack(stack)),
         parameters={
-            "seed": seed,
+            "seed": 1,
             "attribution": "Drawn for tests.",
             "confidence": CALIBRATION.parameters(),
         },
     )
+
+
+def build_tiny_index(poses: int = 24, views: int = 4, seed: int = 1) -> PoseIndex:
+    """An index of random stick figures: ``poses * views`` entries."""
+    rng = np.random.default_rng(seed)
+    skeletons = np.array([stick_figure(rng) for _ in range(poses)])
+    # No view exactly from the side: rounding would decide which way it faces.
+    drawn = [
+        draw_view(skeleton, 20.0 + 360.0 / views * view, 10.0)
+        for skeleton in skeletons
+        for view in range(views)
+    ]
+    return index_of_figures("sticks", skeletons, drawn, np.arange(poses) % 2)
 
 
 @pytest.fixture(scope="session")

@@ -1,107 +1,76 @@
-"""A small body on a small skeleton, moved by a few clips, and an index of what it does.
-
-Everything runs through the real simulation; only the body and the motion are toys, so that
-neither torch nor shared data are needed.
-"""
+"""Indexes of stick figures that move, and of some that lie as well."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from descriptor.descriptor import DiagonalDescriptor
-from index.build.body import Avatar
-from index.build.motion import Segment
-from index.build.poses import Poses, lay_down, merged, read_poses
-from index.build.simulate import Simulation, simulate
+from descriptor.silhouette import is_wide, principal_axis_deg
 from index.confidence import Calibration
 from index.reranker import RERANKING_FEATURES, RankingModel
+from index.skeleton import camera_rotation, rows, wrap_degrees
 from index.store import PoseIndex
-from tests.conftest import SHARED
+from tests.conftest import draw_view, index_of_figures, posed_figure
 from tests.index.helpers import random_network
-from tests.index.toys import box_avatar, walk, write_clip
+
+VIEWS = 12
 
 
-@pytest.fixture(scope="session")
-def motion_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A motion folder with two clips: ``stroll`` (walk) and ``greet`` (wave)."""
-    folder = tmp_path_factory.mktemp("mocap")
-    write_clip(folder / "bvh" / "stroll.bvh", walk(30))
-    write_clip(folder / "bvh" / "greet.bvh", walk(20, lift=140))
-    (folder / "manifest.csv").write_text(
-        "clip,subject,action,start_frame,end_frame,fps,description\n"
-        "stroll,s1,walk,0,30,30,\n"
-        "greet,s2,wave,2,20,30,lifts an arm\n"
+def movement(figures: int, extent: float = 1.0) -> NDArray[np.float64]:
+    """Figures ``(figures, 24, 3)`` that move from one random pose to the next in four steps."""
+    generator = np.random.default_rng(6)
+    keys = extent * generator.uniform(
+        (-1.0, 0.0, -0.7, 0.0, 0.1), (1.2, 1.4, 0.8, 1.0, 2.0), (figures // 4 + 2, 2, 5)
     )
-    return folder
+    times = np.arange(figures) / 4
+    before, share = times.astype(int), (times % 1)[:, None, None]
+    sides = (1 - share) * keys[before] + share * keys[before + 1]
+    return np.array([posed_figure(*both) for both in sides])
 
 
-SEGMENTS = (Segment("stroll", "s1", "walk", 0, 30), Segment("greet", "s2", "wave", 2, 20))
-
-
-@pytest.fixture(scope="session")
-def poses(motion_folder: Path) -> Poses:
-    """All 48 sound frames of the motion folder."""
-    return read_poses(motion_folder, SEGMENTS)[0]
-
-
-@pytest.fixture(scope="session")
-def avatars() -> list[Avatar]:
-    """A slim and a broad box body."""
-    return [box_avatar("slim", 0.9, 0.97), box_avatar("broad", 1.2)]
-
-
-@pytest.fixture(scope="session")
-def simulation(poses: Poses, avatars: list[Avatar]) -> Simulation:
-    """All poses, one body each, twelve views: 576 entries."""
-    return simulate(poses, avatars, bodies=1, views=12, seed=7)
-
-
-def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
-    """An index over a simulation, by the paper's descriptor, uncalibrated."""
-    descriptor = DiagonalDescriptor()
-    return PoseIndex(
-        name=name,
-        descriptor=descriptor,
-        vectors=simulation.describe(descriptor),
-        entries=simulation.entries,
-        skeletons=simulation.skeletons,
-        skeleton_labels=simulation.skeleton_labels,
-        clips=simulation.clips,
-        subjects=simulation.subjects,
-        actions=simulation.actions,
-        silhouette_store=simulation.silhouette_store,
-        parameters={"confidence": Calibration.none().parameters()},
-    )
+def drawn(
+    skeleton: NDArray[np.float64], generator: np.random.Generator, views: int = VIEWS
+) -> list[tuple[NDArray[np.uint8], dict[str, float]]]:
+    """Views all around a figure, rolled to stand where it is wider than high."""
+    found = []
+    for azimuth_deg in 360 * (np.arange(views) + generator.uniform(size=2).sum()) / views:
+        camera = (float(azimuth_deg) % 360, float(generator.uniform(-5, 40)))
+        roll_deg = float(generator.normal(0, 2))
+        silhouette, placed = draw_view(skeleton, *camera, roll_deg)
+        if is_wide(silhouette):
+            upright = roll_deg - principal_axis_deg(silhouette)
+            head, pelvis = (skeleton @ camera_rotation(*camera, upright).T)[rows("head", "pelvis")]
+            upright += 0 if head[1] < pelvis[1] else 180
+            silhouette, placed = draw_view(skeleton, *camera, float(wrap_degrees(upright)))
+        found.append((silhouette, placed))
+    return found
 
 
 @pytest.fixture(scope="session")
-def toy_index(simulation: Simulation) -> PoseIndex:
-    """An index of 576 silhouettes of box bodies."""
-    return index_of(simulation)
+def toy_index() -> PoseIndex:
+    """576 silhouettes of moving figures."""
+    generator, skeletons = np.random.default_rng(7), movement(48)
+    views = [view for skeleton in skeletons for view in drawn(skeleton, generator)]
+    return index_of_figures("toy", skeletons, views, np.arange(48) // 24)
 
 
 @pytest.fixture(scope="session")
-def laid(poses: Poses, avatars: list[Avatar]) -> Poses:
-    """The poses that lie well enough, laid down."""
-    return lay_down(poses, avatars[0], len(poses), seed=0)
-
-
-@pytest.fixture(scope="session")
-def ground_simulation(poses: Poses, laid: Poses, avatars: list[Avatar]) -> Simulation:
-    """Every fourth pose as recorded, then those laid down; twelve views each."""
-    return simulate(
-        merged([poses.take(np.arange(0, len(poses), 4)), laid]), avatars, bodies=1, views=12, seed=8
-    )
-
-
-@pytest.fixture(scope="session")
-def ground_index(ground_simulation: Simulation) -> PoseIndex:
-    """An index of box bodies of which most lie: wide ones were rolled."""
-    return index_of(ground_simulation, "ground")
+def ground_index() -> PoseIndex:
+    """Silhouettes of figures of which most lie, on the back, the belly or a side."""
+    generator, standing = np.random.default_rng(8), movement(12, extent=0.35)
+    lying = []
+    for figure in np.repeat(standing, 3, axis=0):
+        # The head to the back, then about the spine.
+        about, turned = np.deg2rad(generator.uniform(0, 360)), figure[:, [0, 2, 1]] * [1, 1, -1]
+        cosine, sine = np.cos(about), np.sin(about)
+        lying.append(turned @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]]))
+    skeletons = np.concatenate([standing, lying])
+    views = [view for skeleton in skeletons for view in drawn(skeleton, generator)]
+    actions = np.repeat([0, 2], [len(standing), len(lying)])
+    return index_of_figures("ground", skeletons, views, actions, ("walk", "jump", "lie"))
 
 
 @pytest.fixture(scope="session")
@@ -113,13 +82,5 @@ def reranker() -> RankingModel:
 
 @pytest.fixture(scope="session")
 def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
-    """The index of box bodies with such a network."""
+    """The index of moving figures with such a network."""
     return replace(toy_index, reranker=reranker)
-
-
-@pytest.fixture(scope="session")
-def shared() -> Path:
-    """The project's shared data; tests that need it skip where it is not."""
-    if not (SHARED / "mocap" / "manifest.csv").is_file():
-        pytest.skip(f"no shared data at {SHARED}; set SHARED to its path")
-    return SHARED

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import outline_distances, pack, unpack
-from index.build.simulate import Simulation
 from index.silhouettes import Silhouettes
 from index.store import PoseIndex
 
@@ -56,8 +55,8 @@ class TestHalved:
             assert not (shown == 2).any()
             assert_array_equal(shown > 2, blocks)
 
-    def test_outlines_hardly_move_and_take_half_the_bytes(self, simulation: Simulation) -> None:
-        stored = simulation.silhouette_store
+    def test_outlines_hardly_move_and_take_half_the_bytes(self, toy_index: PoseIndex) -> None:
+        stored = toy_index.silhouette_store
         rows = np.arange(len(stored))
         pairs = zip(stored.take(rows), stored.halved().take(rows), strict=True)
         moved = [outline_distances(whole, halved[None])[0] for whole, halved in pairs]

@@ -26,7 +26,7 @@ from index.build.body import (
 from index.build.motion import Clip, MotionError, read_clip
 from index.build.poses import Poses
 from index.skeleton import JOINT_NAMES, NATIVE
-from tests.index.toys import Angles, write_clip
+from tests.index.build.toys import Angles, write_clip
 
 directions = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 

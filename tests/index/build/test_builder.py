@@ -29,7 +29,7 @@ from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import LYING_SIDES, Poses, joints_of, read_poses
 from index.build.simulate import Simulation
 from index.posture import LOW, POSTURES, classify_postures
-from tests.index.toys import walk, write_clip
+from tests.index.build.toys import walk, write_clip
 from tests.support.programs import output_of
 
 

@@ -23,7 +23,7 @@ from index.build.motion import (
     read_rig,
 )
 from index.build.poses import joints_of, read_poses
-from tests.index.toys import Angles, walk, write_clip
+from tests.index.build.toys import Angles, walk, write_clip
 
 HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
 

@@ -30,7 +30,7 @@ from index.build.poses import (
 )
 from index.posture import POSTURES, classify_postures
 from index.skeleton import JOINT_NAMES, NATIVE
-from tests.index.toys import walk, write_clip
+from tests.index.build.toys import walk, write_clip
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:
