@@ -1,10 +1,9 @@
-"""The index artefact: a folder that is written whole or not at all, and verified when read."""
+"""The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import lzma
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -14,9 +13,8 @@ import faiss
 import numpy as np
 
 from descriptor.descriptor import restore
-from index.files import ArtefactError, npy_bytes, read_array, read_bytes, replacing
-from index.reranker import FILES as RERANKER_FILES
-from index.reranker import RankingModel, load_reranker, reranker_files
+from index.files import ArtefactError, read_array, read_bytes
+from index.reranker import RankingModel, load_reranker
 from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
@@ -25,97 +23,8 @@ from index.store import PoseIndex
 FORMAT_VERSION = 4
 MANIFEST = "manifest.json"
 
-_SILHOUETTES = "silhouettes.npy"
+SILHOUETTES = "silhouettes.npy"
 """This file is stored as it is, since its content is compressed; all other files are compressed."""
-
-_LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 6, "lc": 0, "pb": 0}]
-"""Without context for literals (``lc``, ``pb``), decompression is a third faster, for 1 % more
-bytes."""
-
-
-def save_index(index: PoseIndex, path: Path) -> str:
-    """Write an index as a folder, whole or not at all, and return its version.
-
-    A network that re-ranks is written beside it and does not affect the version.
-
-    Raises
-    ------
-    ArtefactError
-        If ``path`` holds anything but an index; see :func:`check_replaceable`.
-    """
-    path = Path(path).resolve()
-    check_replaceable(path)
-    files = _files(index)
-    manifest: dict[str, Any] = {
-        "format_version": FORMAT_VERSION,
-        "name": index.name,
-        "entries": len(index),
-        "joints": list(NATIVE.names),
-        "descriptor": {**index.descriptor.parameters(), "dimension": index.descriptor.dimension},
-        "clips": list(index.clips),
-        "subjects": list(index.subjects),
-        "actions": list(index.actions),
-        "silhouette_step": index.silhouette_store.step,
-        "parameters": index.parameters,
-        "files": {
-            name: hashlib.sha256(content).hexdigest() for name, content in sorted(files.items())
-        },
-    }
-    stored = {
-        _stored_name(name): content
-        if name == _SILHOUETTES
-        else lzma.compress(content, filters=_LZMA)
-        for name, content in files.items()
-    }
-    if index.reranker is not None:
-        stored |= reranker_files(index.reranker)
-    return _write(path, manifest, stored)
-
-
-def _write(path: Path, manifest: dict[str, Any], stored: dict[str, bytes]) -> str:
-    """Seal a manifest and write the folder; return its version."""
-    version = _version(manifest)
-    manifest = {**manifest, "version": version}
-    with replacing(path) as folder:
-        for name, content in stored.items():
-            (folder / name).write_bytes(content)
-        (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
-        # Other files may have appeared since the build began.
-        check_replaceable(path)
-    return version
-
-
-def check_replaceable(path: Path) -> None:
-    """Refuse to write an index where anything else would be deleted.
-
-    Raises
-    ------
-    ArtefactError
-        Unless ``path`` is missing, is an empty folder, or holds an index of any format and nothing
-        else.
-    """
-    if path.exists() and not path.is_dir():
-        raise ArtefactError(f"expected a folder for the index, got the file {path}")
-    found = {file.name for file in path.iterdir()} if path.exists() else set()
-    foreign = sorted(found - _own_names(path))
-    if foreign:
-        raise ArtefactError(
-            f"expected {path} to be missing, empty or an index, since it is replaced whole; it "
-            f"holds {len(foreign)} other file{'s' * (len(foreign) > 1)}, such as {foreign[0]}"
-        )
-
-
-def _own_names(path: Path) -> set[str]:
-    """Names of the files of an index of any format; none if there is no index."""
-    try:
-        manifest = json.loads((path / MANIFEST).read_bytes())
-        names = set(manifest["files"])
-        is_index = {"format_version", "version", "descriptor"} <= manifest.keys()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return set()
-    if not is_index:
-        return set()
-    return {MANIFEST, *RERANKER_FILES, *names, *(f"{name}.xz" for name in names)}
 
 
 def load_index(
@@ -160,23 +69,6 @@ def find_artefact(folder: Path, version: str) -> Path:
     raise ArtefactError(f"expected an artefact of version {version} in {folder}, found none")
 
 
-def _files(index: PoseIndex) -> dict[str, bytes]:
-    flat = faiss.IndexFlatL2(index.descriptor.dimension)
-    flat.add(index.vectors.astype(np.float32))
-    silhouettes = index.silhouette_store
-    learned = {f"descriptor-{k}.npy": npy_bytes(v) for k, v in index.descriptor.arrays().items()}
-    return {
-        "descriptors.faiss": faiss.serialize_index(flat).tobytes(),
-        "entries.npy": npy_bytes(index.entries),
-        "skeletons.npy": npy_bytes(index.skeletons),
-        "skeleton-labels.npy": npy_bytes(index.skeleton_labels),
-        _SILHOUETTES: npy_bytes(silhouettes.data),
-        "silhouette-lengths.npy": npy_bytes(np.diff(silhouettes.ends, prepend=0).astype("<u2")),
-        "silhouette-dictionary.npy": npy_bytes(silhouettes.dictionary),
-        **learned,
-    }
-
-
 def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
     """Contents of the files of a manifest: arrays, by their names without ``.npy``, or bytes."""
     # Decompressing and hashing release the interpreter's lock.
@@ -184,7 +76,7 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
         read = {
             name.removesuffix(".npy"): pool.submit(
                 read_array if name.endswith(".npy") else read_bytes,
-                path / _stored_name(name),
+                path / stored_name(name),
                 expected,
             )
             for name, expected in sha256.items()
@@ -247,17 +139,17 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         )
     if manifest.get("joints") != list(NATIVE.names):
         raise ArtefactError(f"the index at {path} was built for another set of joints")
-    if manifest.get("version") != _version(manifest):
+    if manifest.get("version") != version_of(manifest):
         raise ArtefactError(f"the manifest {file} was altered: its content hash does not fit")
     return cast("dict[str, Any]", manifest)
 
 
-def _stored_name(name: str) -> str:
+def stored_name(name: str) -> str:
     """Name on disk of a file of the manifest."""
-    return name if name == _SILHOUETTES else f"{name}.xz"
+    return name if name == SILHOUETTES else f"{name}.xz"
 
 
-def _version(manifest: dict[str, Any]) -> str:
+def version_of(manifest: dict[str, Any]) -> str:
     """Hash of the manifest, which itself holds the hash of every file."""
     content = {key: value for key, value in manifest.items() if key != "version"}
     canonical = json.dumps(content, sort_keys=True, separators=(",", ":"))

@@ -1,14 +1,11 @@
-"""Files of an index: read and verified, and written in folders that replace whole folders."""
+"""Files of an index, read and verified."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import lzma
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 
 import numpy as np
@@ -21,13 +18,6 @@ https://github.com/python/cpython/issues/106905."""
 
 class ArtefactError(ValueError):
     """An index artefact that cannot be used; the message says why in one sentence."""
-
-
-def npy_bytes(array: NDArray[np.generic]) -> bytes:
-    """Serialise an array as the content of an ``.npy`` file."""
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()
 
 
 def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
@@ -65,25 +55,3 @@ def read_bytes(file: Path, sha256: str) -> bytes:
     if hashlib.sha256(content).hexdigest() != sha256:
         raise ArtefactError(f"the index file {file} was altered: its SHA-256 does not fit")
     return content
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[Path]:
-    """Yield an empty folder that replaces ``path`` at the end.
-
-    If anything fails, ``path`` stays as it was. A process killed here may leave a hidden folder
-    beside ``path``; if it dies between the two renames, the old folder is in there.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{path.name}-", dir=path.parent) as staging:
-        new, old = Path(staging, "new"), Path(staging, "old")
-        new.mkdir()
-        yield new
-        if path.exists():
-            path.rename(old)
-        try:
-            new.rename(path)
-        except OSError:
-            if old.exists():
-                old.rename(path)
-            raise

@@ -223,11 +223,6 @@ class Distributions:
         """Mean log probability of the likeliest bins: how certain the network is."""
         return float(np.mean([part.max(axis=1) for part in self.by_axis()]))
 
-    def likeliest(self) -> NDArray[np.float64]:
-        """Centres ``(19, 3)`` of the likeliest bins: column, row and depth of each joint."""
-        bins = np.stack([part.argmax(axis=1) for part in self.by_axis()], axis=1)
-        return np.asarray(_FIRST + _STEP * bins, np.float64)
-
     def by_axis(self) -> list[NDArray[np.float64]]:
         """Log probabilities ``(19, bins)`` along each of :data:`AXES`."""
         return np.split(self.log_probabilities, np.cumsum(_BINS_OF_AXIS)[:-1], axis=1)

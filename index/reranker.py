@@ -18,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from index.confidence import FEATURES, Calibration
-from index.files import ArtefactError, npy_bytes
+from index.files import ArtefactError
 from index.network import JointNetwork
 
-FILES = MANIFEST, WEIGHTS = "reranking.json", "reranking.npz"
+RERANKING_JSON, RERANKING_NPZ = "reranking.json", "reranking.npz"
+"""Names of the files."""
 
-RERANKER_FORMAT_VERSION = 2
+RERANKING_FORMAT_VERSION = 2
 
 RERANKING_FEATURES = (
     *FEATURES,
@@ -87,33 +88,6 @@ class RankingModel:
         return cls(network, Calibration.none(RERANKING_FEATURES))
 
 
-def reranker_files(reranker: RankingModel) -> dict[str, bytes]:
-    """Contents of the files, by name; the same network gives the same bytes."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in reranker.network.arrays().items():
-            # A separate ZipInfo leaves out the time of writing.
-            member = zipfile.ZipInfo(f"{name}.npy")
-            archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
-    weights = buffer.getvalue()
-    manifest = {
-        "format_version": RERANKER_FORMAT_VERSION,
-        "sha256": hashlib.sha256(weights).hexdigest(),
-        "order_weight": reranker.order_weight,
-        "support_weight": reranker.support_weight,
-        "spread": list(reranker.spread),
-        "confidence": reranker.calibration.parameters(),
-        "training": reranker.training,
-    }
-    return {WEIGHTS: weights, MANIFEST: (json.dumps(manifest, indent=1) + "\n").encode()}
-
-
-def save_reranker(reranker: RankingModel, folder: Path) -> None:
-    """Write the network beside an index without changing the index's own files."""
-    for name, content in reranker_files(reranker).items():
-        (folder / name).write_bytes(content)
-
-
 def load_reranker(folder: Path) -> RankingModel | None:
     """Read and verify the network beside an index; None if there is none.
 
@@ -122,7 +96,7 @@ def load_reranker(folder: Path) -> RankingModel | None:
     ArtefactError
         If it is incomplete, altered, or not a network of this format.
     """
-    file, weights = folder / MANIFEST, folder / WEIGHTS
+    file, weights = folder / RERANKING_JSON, folder / RERANKING_NPZ
     if not file.exists():
         if weights.exists():
             raise ArtefactError(f"the network {weights} lacks its manifest {file.name} beside it")
@@ -130,9 +104,9 @@ def load_reranker(folder: Path) -> RankingModel | None:
     try:
         manifest = json.loads(file.read_bytes())
         version = manifest["format_version"]
-        if version != RERANKER_FORMAT_VERSION:
+        if version != RERANKING_FORMAT_VERSION:
             raise ArtefactError(
-                f"{file} has format {version}, this service reads format {RERANKER_FORMAT_VERSION}"
+                f"{file} has format {version}, this service reads format {RERANKING_FORMAT_VERSION}"
             )
         content = weights.read_bytes()
         if hashlib.sha256(content).hexdigest() != manifest["sha256"]:

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH, unpack
+from descriptor.silhouette import HEIGHT, WIDTH
 
 PACKED_BYTES = HEIGHT * WIDTH // 8
 
-_WINDOW_BYTES = 32 * 1024
-"""Distance over which deflate looks back; a longer dictionary would be useless."""
-
-_BLOCK = 4096
-"""Silhouettes decompressed at a time."""
-
-_LEVEL = 6
-_RAW_DEFLATE = -15
+RAW_DEFLATE = -15
 """Selects neither header nor checksum, since the artefact has its own."""
 
 
@@ -38,8 +31,7 @@ class Silhouettes:
         End of each silhouette in ``data``; ascending, the last is B.
     dictionary : (D,) uint8 array
     step : int
-        Pixels of the normalised frame for each stored pixel, along both axes: 1, or 2 after
-        :meth:`halved`.
+        Pixels of the normalised frame for each stored pixel, along both axes: 1 or 2.
     """
 
     data: NDArray[np.uint8]
@@ -64,29 +56,6 @@ class Silhouettes:
             raise ValueError("expected ascending ends of silhouettes")
         if self.ends[-1] != len(self.data):
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
-
-    @classmethod
-    def compress(cls, bits: NDArray[np.uint8]) -> Silhouettes:
-        """Compress silhouettes packed by :func:`descriptor.silhouette.pack`, ``(E, 768)``."""
-        if bits.ndim != 2 or bits.shape[1] != PACKED_BYTES or len(bits) == 0:
-            raise ValueError(f"expected silhouettes of shape (E, {PACKED_BYTES}), got {bits.shape}")
-        dictionary = _by_columns(unpack(bits[sampled(len(bits))])).ravel()
-        blocks = (
-            _by_columns(unpack(bits[start : start + _BLOCK]))
-            for start in range(0, len(bits), _BLOCK)
-        )
-        return cls(*_deflate(blocks, dictionary))
-
-    def halved(self) -> Silhouettes:
-        """The same at half the resolution, in half the bytes: outlines move by 0.3 px."""
-        if self.step != 1:
-            raise ValueError("expected silhouettes at full resolution, got halved ones")
-        blocks = [
-            _by_columns(_halve(self.take(np.arange(start, min(start + _BLOCK, len(self))))))
-            for start in range(0, len(self), _BLOCK)
-        ]
-        dictionary = np.concatenate(blocks)[sampled(len(self), step=2)].ravel()
-        return Silhouettes(*_deflate(blocks, dictionary), step=2)
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
         """Some silhouettes, still compressed."""
@@ -113,50 +82,15 @@ class Silhouettes:
             if not 0 <= number < len(self):
                 raise IndexError(f"expected a silhouette below {len(self)}, got {number}")
             start = self.ends[number - 1] if number else 0
-            unpacker = zlib.decompressobj(_RAW_DEFLATE, zdict=dictionary)
+            unpacker = zlib.decompressobj(RAW_DEFLATE, zdict=dictionary)
             row[:] = np.frombuffer(
                 unpacker.decompress(self.data[start : self.ends[number]].tobytes(), size), np.uint8
             )
         return _from_columns(columns, self.step)
 
 
-def sampled(count: int, *, step: int = 1) -> NDArray[np.int64]:
-    """Evenly spaced rows of ``count`` silhouettes, which make up their dictionary."""
-    fitting = _WINDOW_BYTES * step**2 // PACKED_BYTES
-    return np.linspace(0, count - 1, min(count, fitting)).astype(np.int64)
-
-
-def _deflate(
-    blocks: Iterable[NDArray[np.uint8]], dictionary: NDArray[np.uint8]
-) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.uint8]]:
-    """Compress each row of each block; returns data, ends and dictionary."""
-    fresh = zlib.compressobj(_LEVEL, zlib.DEFLATED, _RAW_DEFLATE, 9, zdict=dictionary.tobytes())
-    parts = []
-    for block in blocks:
-        for row in block:
-            packer = fresh.copy()
-            parts.append(packer.compress(row.tobytes()) + packer.flush())
-    ends = np.cumsum([len(part) for part in parts], dtype=np.int64)
-    return np.frombuffer(b"".join(parts), np.uint8), ends, dictionary
-
-
-def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Silhouettes ``(B, 64, 24)``: the majority of four pixels, or the first pixel in a tie."""
-    blocks = silhouettes.reshape(len(silhouettes), HEIGHT // 2, 2, WIDTH // 2, 2)
-    return np.asarray(2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4, np.uint8)
-
-
-def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pack silhouettes ``(B, H, W)``, one column of bytes after the other.
-
-    Outlines are mostly vertical and compress better in this order.
-    """
-    packed = np.packbits(silhouettes, axis=2).swapaxes(1, 2)
-    return np.ascontiguousarray(packed).reshape(len(silhouettes), -1)
-
-
 def _from_columns(columns: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    """Undo :func:`_by_columns`, and enlarge to ``(B, 128, 48)``."""
+    """Unpack silhouettes stored by columns of bytes, and enlarge to ``(B, 128, 48)``."""
     packed = columns.reshape(len(columns), WIDTH // 8 // step, HEIGHT // step).swapaxes(1, 2)
     silhouettes = np.unpackbits(packed, axis=2)
     return silhouettes if step == 1 else _double(silhouettes)

@@ -26,9 +26,9 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
-from index.artefact import load_index, save_index
+from index.artefact import load_index
+from index.build.writer import compress, save_index
 from index.confidence import FEATURES, Calibration
-from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
 from tests.support.ports import free_ports
@@ -153,7 +153,7 @@ def index_of_figures(
         clips=("sticks_01",),
         subjects=("stick",),
         actions=actions,
-        silhouette_store=Silhouettes.compress(pack(stack)),
+        silhouette_store=compress(pack(stack)),
         parameters={
             "seed": 1,
             "attribution": "Drawn for tests.",

@@ -19,6 +19,7 @@ from index.build.garments import Wardrobe, make_avatars
 from index.build.motion import MANIFESTS, Segment, read_manifest
 from index.build.poses import Poses, farthest_points, joints_of, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
+from index.build.writer import halved
 from index.confidence import Calibration
 from index.posture import LOW, POSTURES, classify_postures
 from index.search import STEPS_PER_UNIT
@@ -375,7 +376,7 @@ def assemble(
         clips=simulation.clips,
         subjects=simulation.subjects,
         actions=simulation.actions,
-        silhouette_store=simulation.silhouette_store.halved(),
+        silhouette_store=halved(simulation.silhouette_store),
         parameters={**parameters, "confidence": calibration.parameters()},
     )
 

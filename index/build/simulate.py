@@ -20,6 +20,7 @@ from descriptor.descriptor import Descriptor
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
 from index.build.poses import Poses
 from index.build.views import PosedBodies, render_bodies
+from index.build.writer import compress
 from index.silhouettes import PACKED_BYTES, Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
@@ -139,7 +140,7 @@ def simulate(
         for (_, numbers), found in zip(batches, rendered, strict=True):
             bits[numbers], entries[numbers], skeletons[numbers] = found
             bar.update(len(numbers))
-        store = Silhouettes.compress(bits.reshape(-1, PACKED_BYTES))
+        store = compress(bits.reshape(-1, PACKED_BYTES))
     rows = np.repeat(np.arange(len(poses)), bodies)
     labels = np.zeros(len(assigned), SKELETON_DTYPE)
     labels["clip"], labels["frame"] = poses.clip[rows], poses.frame[rows]

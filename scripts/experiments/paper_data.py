@@ -25,8 +25,8 @@ from index.build.poses import Poses, read_poses
 from index.build.render import render, skin
 from index.build.simulate import Simulation
 from index.build.views import VIEW_DTYPE
+from index.build.writer import compress
 from index.confidence import RIGHT_BELOW_PX
-from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 
@@ -90,7 +90,7 @@ def film(poses: Poses, avatars: Sequence[Avatar], cameras: NDArray[np.void]) -> 
             )  # fmt: skip
             entries[entry] = (skeleton, *camera.tolist(), *placed)
     return Simulation(
-        Silhouettes.compress(pack(silhouettes)), entries, skeletons, labels,
+        compress(pack(silhouettes)), entries, skeletons, labels,
         tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
     )  # fmt: skip
 

@@ -30,6 +30,7 @@ from index.build.simulate import Simulation
 from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
+from index.network import AXES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranker import RankingModel
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
@@ -151,7 +152,7 @@ def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figur
         "network_order_weights_and_fit": summary(answered),
         "network_alone": {
             "queries": len(queries),
-            "right_1": percent(right_by_itself(index.reranker, queries)),
+            "right_1": percent(network_alone_is_right(index.reranker, queries)),
         },
     }
 
@@ -175,11 +176,13 @@ def nearest_entries(
     return error_px, error_m
 
 
-def right_by_itself(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:
-    """Return whether the likeliest positions of the joints make a right skeleton ``(Q,)``."""
-    places = np.stack(
-        [reranker.network.distributions(s).likeliest()[:, :2] for s in queries.silhouettes]
-    )
+def network_alone_is_right(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:
+    """Return which queries ``(Q,)`` the network's likeliest joint positions answer within 5 px."""
+    places = np.empty(queries.joints_2d.shape)
+    for row, silhouette in enumerate(queries.silhouettes):
+        log_probabilities = reranker.network.distributions(silhouette).by_axis()
+        for column in range(2):
+            places[row, :, column] = AXES[column].centres[log_probabilities[column].argmax(axis=1)]
     errors = np.linalg.norm(places - queries.joints_2d, axis=-1).mean(axis=-1)
     return np.asarray(errors < RIGHT_BELOW_PX)
 

@@ -16,7 +16,7 @@ from index.artefact import load_index
 from index.build.builder import IndexSpec, hold_out
 from index.build.motion import read_manifest
 from index.build.reranker import TrainingConfig, train_reranker
-from index.reranker import save_reranker
+from index.build.writer import save_reranker
 from scripts.results import SHARED
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from descriptor.silhouette import is_wide, principal_axis_deg
+from index.build.writer import save_index
 from index.confidence import Calibration
 from index.reranker import RERANKING_FEATURES, RankingModel
 from index.skeleton import camera_rotation, rows, wrap_degrees
@@ -84,3 +86,11 @@ def reranker() -> RankingModel:
 def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
     """The index of moving figures with such a network."""
     return replace(toy_index, reranker=reranker)
+
+
+@pytest.fixture
+def saved(toy_index: PoseIndex, tmp_path: Path) -> Path:
+    """Folder of the index of moving figures."""
+    folder = tmp_path / "artefact"
+    save_index(toy_index, folder)
+    return folder

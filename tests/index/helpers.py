@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from index.artefact import version_of
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
@@ -40,3 +46,17 @@ def landmarks_of(
 def joint_error(points: NDArray[np.floating], joints: NDArray[np.floating]) -> float:
     """Mean distance between the joints of two skeletons, in their unit."""
     return float(np.linalg.norm(points[:JOINTS] - joints[:JOINTS], axis=-1).mean())
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Contents of the files of a folder."""
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def seal(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the manifest and give it the content hash that fits."""
+    file = folder / "manifest.json"
+    manifest = json.loads(file.read_text())
+    change(manifest)
+    manifest["version"] = version_of(manifest)
+    file.write_text(json.dumps(manifest))

@@ -7,11 +7,7 @@ import hashlib
 import json
 import lzma
 import re
-import signal
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import faiss
 import numpy as np
@@ -19,31 +15,11 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
-from index import artefact
-from index.artefact import find_artefact, load_index, save_index
-from index.files import ArtefactError, npy_bytes
+from index.artefact import FORMAT_VERSION, find_artefact, load_index
+from index.build.writer import npy_bytes, save_index
+from index.files import ArtefactError
 from index.store import PoseIndex
-from tests.support.programs import run
-
-
-@pytest.fixture
-def saved(toy_index: PoseIndex, tmp_path: Path) -> Path:
-    folder = tmp_path / "artefact"
-    save_index(toy_index, folder)
-    return folder
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {file.name: file.read_bytes() for file in folder.iterdir()}
-
-
-def seal(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change the manifest and give it the content hash that fits."""
-    file = folder / "manifest.json"
-    manifest = json.loads(file.read_text())
-    change(manifest)
-    manifest["version"] = artefact._version(manifest)
-    file.write_text(json.dumps(manifest))
+from tests.index.helpers import contents, seal
 
 
 class TestRoundTrip:
@@ -93,136 +69,6 @@ class TestRoundTrip:
         }[field]
         other = dataclasses.replace(toy_index, **{field: changed})
         assert save_index(other, tmp_path / "b") != save_index(toy_index, tmp_path / "a")
-
-    def test_replaces_an_older_artefact_whole(self, toy_index: PoseIndex, saved: Path) -> None:
-        for name in ("reranking.json", "reranking.npz", "of-another-format.npy.xz"):
-            (saved / name).write_text("of the older index")
-        seal(saved, lambda m: m.update(format_version=3, files={"of-another-format.npy": ""}))
-        for file in saved.glob("*.npy*"):
-            if not file.name.startswith("of-another-format"):
-                file.unlink()
-        (saved / "descriptors.faiss.xz").unlink()
-        save_index(dataclasses.replace(toy_index, name="newer"), saved)
-        assert load_index(saved).name == "newer"
-        assert not (saved / "of-another-format.npy.xz").exists()
-        assert not (saved / "reranking.json").exists()
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-    def test_a_link_stays_a_link(self, toy_index: PoseIndex, saved: Path, tmp_path: Path) -> None:
-        (tmp_path / "current").symlink_to(saved)
-        save_index(dataclasses.replace(toy_index, name="newer"), tmp_path / "current")
-        assert (tmp_path / "current").is_symlink()
-        assert load_index(saved).name == "newer"
-
-    def test_an_empty_folder_is_filled(self, toy_index: PoseIndex, tmp_path: Path) -> None:
-        (tmp_path / "empty").mkdir()
-        save_index(toy_index, tmp_path / "empty")
-        assert load_index(tmp_path / "empty").name == toy_index.name
-
-
-class TestWhatIsNoIndex:
-    """A folder with anything else in it is refused, and stays as it is."""
-
-    @pytest.fixture
-    def photographs(self, tmp_path: Path) -> Path:
-        folder = tmp_path / "photographs"
-        folder.mkdir()
-        for number in range(3):
-            (folder / f"{number}.jpg").write_bytes(bytes([number]))
-        return folder
-
-    def refused(self, index: PoseIndex, folder: Path, *said: str) -> None:
-        before = contents(folder)
-        with pytest.raises(ArtefactError) as caught:
-            save_index(index, folder)
-        assert all(part in str(caught.value) for part in (str(folder), *said))
-        assert contents(folder) == before
-        assert [p.name for p in folder.parent.glob(".*")] == []
-
-    @pytest.mark.parametrize(
-        "manifest", [None, "{", "[]", '{"files": {}}', '{"name": "a web application"}']
-    )
-    def test_photographs(
-        self, toy_index: PoseIndex, photographs: Path, manifest: str | None
-    ) -> None:
-        if manifest is not None:
-            (photographs / "manifest.json").write_text(manifest)
-        self.refused(toy_index, photographs, "3 other" if manifest is None else "4 other", "0.jpg")
-
-    def test_photographs_in_an_index(self, toy_index: PoseIndex, saved: Path) -> None:
-        (saved / "holiday.jpg").write_bytes(b"sun")
-        self.refused(toy_index, saved, "holds 1 other file, such as holiday.jpg")
-
-    def test_a_file(self, toy_index: PoseIndex, tmp_path: Path) -> None:
-        file = tmp_path / "notes.txt"
-        file.write_text("mine")
-        with pytest.raises(ArtefactError, match=r"got the file .*notes\.txt"):
-            save_index(toy_index, file)
-        assert file.read_text() == "mine"
-
-    def test_what_is_put_there_while_it_is_written(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        write_text = Path.write_text
-
-        def write_and_copy(self: Path, *args: Any) -> int:
-            (saved / "holiday.jpg").write_bytes(b"sun")
-            return write_text(self, *args)
-
-        monkeypatch.setattr(Path, "write_text", write_and_copy)
-        with pytest.raises(ArtefactError, match=r"holiday\.jpg"):
-            save_index(toy_index, saved)
-        assert (saved / "holiday.jpg").read_bytes() == b"sun"
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-
-class TestFailedSave:
-    @pytest.mark.parametrize("written", ["write_text", "write_bytes"])
-    def test_leaves_what_was_there(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch, written: str
-    ) -> None:
-        before = contents(saved)
-        monkeypatch.setattr(Path, written, _full_disk)
-        for folder in (saved, saved.parent / "fresh"):
-            with pytest.raises(OSError, match="No space left"):
-                save_index(dataclasses.replace(toy_index, name="newer"), folder)
-        assert contents(saved) == before
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-    def test_keeps_the_old_artefact_when_the_last_rename_fails(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        before = contents(saved)
-        rename = Path.rename
-
-        def fail_for_the_new(self: Path, target: Path) -> Path:
-            if target == saved and self.name == "new":
-                raise OSError(5, "Input/output error")
-            return rename(self, target)
-
-        monkeypatch.setattr(Path, "rename", fail_for_the_new)
-        with pytest.raises(OSError, match="Input/output error"):
-            save_index(dataclasses.replace(toy_index, name="newer"), saved)
-        assert contents(saved) == before
-        assert [p.name for p in saved.parent.iterdir()] == [saved.name]
-
-    def test_killed_while_writing_keeps_the_old_artefact(self, saved: Path) -> None:
-        # The manifest is written last: the process dies with every other file in place.
-        script = f"""
-import dataclasses, os, pathlib, signal
-from index.artefact import find_artefact, load_index, save_index
-index = load_index({str(saved)!r})
-pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
-"""
-        before = contents(saved)
-        ended = run(sys.executable, "-c", script)
-        assert ended.returncode == -signal.SIGKILL
-        assert contents(saved) == before
-
-
-def _full_disk(*_: object) -> None:
-    raise OSError(28, "No space left on device")
 
 
 class TestRefusal:
@@ -278,8 +124,8 @@ class TestRefusal:
     @pytest.mark.parametrize(
         ("changed", "said"),
         [
-            *(({"format_version": number}, f"this service reads format {artefact.FORMAT_VERSION}")
-              for number in (0, artefact.FORMAT_VERSION + 1, "1")),
+            *(({"format_version": number}, f"this service reads format {FORMAT_VERSION}")
+              for number in (0, FORMAT_VERSION + 1, "1")),
             ({"joints": ["nose"]}, "another set of joints"),
             ({"descriptor": {"name": "hu"}}, "descriptor"),
             *(({key: None}, key) for key in ("files", "descriptor", "clips", "parameters")),

@@ -17,7 +17,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from index.files import ArtefactError, npy_bytes, read_array
+from index.build.writer import npy_bytes
+from index.files import ArtefactError, read_array
 from index.store import ENTRY_DTYPE
 
 

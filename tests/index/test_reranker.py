@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.artefact import load_index, save_index
+from index.artefact import load_index
+from index.build.writer import save_index, save_reranker
 from index.files import ArtefactError
-from index.reranker import FILES, MANIFEST, WEIGHTS, RankingModel, load_reranker, save_reranker
+from index.reranker import RERANKING_JSON, RERANKING_NPZ, RankingModel, load_reranker
 from index.store import PoseIndex
 from tests.support.programs import output_of
 
@@ -46,7 +47,8 @@ def test_saving_a_network_does_not_change_the_index(
 def test_index_is_saved_with_its_network(reranked: PoseIndex, saved: Path, tmp_path: Path) -> None:
     save_index(reranked, tmp_path / "again")
     assert all(
-        (tmp_path / "again" / name).read_bytes() == (saved / name).read_bytes() for name in FILES
+        (tmp_path / "again" / name).read_bytes() == (saved / name).read_bytes()
+        for name in (RERANKING_JSON, RERANKING_NPZ)
     )
 
 
@@ -67,13 +69,14 @@ def manifest_with(**changed: object) -> Callable[[bytes], bytes]:
 @pytest.mark.parametrize(
     ("file", "change", "said"),
     [
-        (WEIGHTS, altered, "reranking.npz was altered: its SHA-256 does not fit"),
-        (WEIGHTS, None, "reranking.npz cannot be read: No such file"),
-        (MANIFEST, None, "lacks its manifest reranking.json"),
-        *((MANIFEST, lambda _, text=text: text, "reranking.json")
+        (RERANKING_NPZ, altered, "reranking.npz was altered: its SHA-256 does not fit"),
+        (RERANKING_NPZ, None, "reranking.npz cannot be read: No such file"),
+        (RERANKING_JSON, None, "lacks its manifest reranking.json"),
+        *((RERANKING_JSON, lambda _, text=text: text, "reranking.json")
           for text in (b"", b"[]", b"{}", b'{"format_version": 2}')),
-        (MANIFEST, manifest_with(format_version=9), "has format 9, this service reads format 2"),
-        (MANIFEST, manifest_with(confidence={"features": ["shoe_size"], "weights": [1], "bias": 0}),
+        (RERANKING_JSON, manifest_with(format_version=9), "this service reads format 2"),
+        (RERANKING_JSON,
+         manifest_with(confidence={"features": ["shoe_size"], "weights": [1], "bias": 0}),
          "expected a calibration over"),
     ],
 )  # fmt: skip

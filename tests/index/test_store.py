@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import normalise
-from index.silhouettes import Silhouettes
+from index.build.writer import compress
 from index.skeleton import camera_rotation, mirror_3d
 from index.store import PoseIndex
 
@@ -23,7 +23,7 @@ class TestConstruction:
             ("skeletons", np.zeros((1, 24, 3), np.float16), "expected skeletons of shape"),
             (
                 "silhouette_store",
-                Silhouettes.compress(np.zeros((2, 768), np.uint8)),
+                compress(np.zeros((2, 768), np.uint8)),
                 "expected 576 silhouettes, got 2",
             ),
         ],

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pybvh", reason="needs the test extra: pybvh")
 
 from index.build.simulate import Simulation
-from index.silhouettes import Silhouettes
+from index.build.writer import compress
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 from scripts.experiments.paper_data import joint_errors, recognised
@@ -29,7 +29,7 @@ def filmed() -> Simulation:
     entries["distance"], entries["scale"] = 5, 60
     skeletons = np.zeros((count, POINTS, 3), np.float16)
     skeletons[:, :, 1] = 0.05 * np.arange(count)[:, None]
-    silhouettes = Silhouettes.compress(np.zeros((len(entries), 768), np.uint8))
+    silhouettes = compress(np.zeros((len(entries), 768), np.uint8))
     return Simulation(silhouettes, entries, skeletons, labels, ("a", "b"), ("x", "y"), ("walk",))
 
 
