@@ -1,8 +1,8 @@
-"""Finds the people of a frame: boxes, silhouettes and landmarks."""
+"""Finds the people of a frame and observes each: silhouette, landmarks and what these show."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,12 +14,10 @@ from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, smallest_person_px
-from app.vision.geometry import Box
-from app.vision.images import LabelImage
+from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import PhotographModels
-from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
-from app.vision.person_reader import PersonReader, attenuate_visibility_at_border
+from app.vision.person_reader import MIN_PRESENCE, PersonReader, attenuate_visibility_at_border
 from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
 
 
@@ -30,6 +28,38 @@ class Models:
     detector: NetworkDetector
     reader: PersonReader
     judgement: PhotographModels
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a person may be in a frame.
+
+    Parameters
+    ----------
+    box : Box
+        As marked, detected or expected, pixels.
+    score : float or None
+        Probability of a person; None if the caller marked them.
+    detection : Detection or None
+        None if no detector has found the person.
+    expected : PersonWindow or PoseReading or None
+        Window in which a track expects the person, or the reading in it.
+    """
+
+    box: Box
+    score: float | None = None
+    detection: Detection | None = None
+    expected: PersonWindow | PoseReading | None = None
+
+
+Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
+
+MARKED: tuple[Source, ...] = ("boxes", "mask")
+"""Sources in which the caller says who is a person."""
+
+# Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
+# and toes.
+BODY_MARGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -59,141 +89,169 @@ class PeopleFinder:
             separate people from the background.
         """
         landmarks = evidence == "photograph" and upload.has_frame
+        source, targets, cut = self._targets(upload, job)
+        people = self.observe(upload, targets, job, source, landmarks=landmarks, cut=cut)
+        if source in MARKED:
+            return [person for person in people if person is not None]
+        # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
+        return [replace(one, box=one.box.joined(one.whole_box)) for one in people if one]
+
+    def _targets(self, upload: DecodedUpload, job: Job) -> tuple[Source, list[Target], Cut | None]:
+        """Where people are, who says so, and how they are cut out if not by their readings."""
+        frame = upload.frame
         if upload.mask is not None:
-            return self._people_in_mask(upload.mask, upload, landmarks, job)
-        background = self._background(upload)
-        source, detections = self._detect(upload, background, job)
-        people = self._observe(source, detections, upload, background, landmarks, job)
-        if source != "boxes":
-            # A detection without a silhouette is unlikely to be a person. Detectors cut off
-            # foreheads, feet and outstretched arms that the silhouette shows.
-            people = [
-                replace(person, box=person.box.joined(person.silhouette.box))
-                for person in people
-                if person.silhouette is not None
-            ]
-        return people if landmarks else [without_landmarks(person) for person in people]
+            with job.stage("segment"):
+                silhouettes = silhouettes_from_labels(upload.mask)
+            return "mask", [Target(one.box) for one in silhouettes], lambda _: silhouettes
+        if upload.boxes is not None:
+            return "boxes", [Target(box) for box in upload.boxes], None
+        if upload.background is None:
+            found = self.search(frame, job)
+            return "detector", [Target(one.box, one.score, one) for one in found], None
+        smallest = smallest_person_px(frame.shape, self.min_person_px)
+        scene = BackgroundSegmenter(upload.background, min_person_px=smallest)
+        with job.stage("detect"):
+            found = scene.detect(frame)[: self.max_persons]
+        job.checkpoint()
+        targets = [Target(one.box, one.score, one) for one in found]
+        return "background", targets, lambda boxes: scene.segment(frame, boxes, job.checkpoint)
+
+    def search(
+        self, frame: NDArray[np.uint8], job: Job, lost: Sequence[Box] = ()
+    ) -> list[Detection]:
+        """Detect the people of a whole frame, best first.
+
+        ``lost`` are boxes of people who were there a moment ago and were not seen to leave.
+        """
+        with job.stage("detect"):
+            found = self.models.detector.detect(frame, lost)[: self.max_persons]
+        job.checkpoint()
+        return found
 
     def read(
-        self, frame: NDArray[np.uint8], found: Sequence[Detection], job: Job
-    ) -> list[PoseReading]:
-        """Read the landmarks and the body mask of each person of a frame."""
-        return job.map(
-            lambda one: self.models.reader.read(frame, one.box, one.keypoints, one.windows), found
-        )
+        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
+    ) -> list[PoseReading | None]:
+        """Read landmarks and masks of people; None where a track's window shows nobody any more."""
+        reader = self.models.reader
 
-    def _background(self, upload: DecodedUpload) -> BackgroundSegmenter | None:
-        if upload.background is None:
-            return None
-        smallest = smallest_person_px(upload.frame.shape, self.min_person_px)
-        return BackgroundSegmenter(upload.background, min_person_px=smallest)
+        def read(target: Target) -> PoseReading | None:
+            expected, found = target.expected, target.detection
+            if found is None and expected is not None:
+                if isinstance(expected, PoseReading):
+                    return expected
+                return reader.follow(frame, expected)
+            found = found or Detection(target.box, 1.0)
+            return reader.read(frame, found.box, found.keypoints, found.windows, expected)
 
-    def _detect(
-        self, upload: DecodedUpload, background: BackgroundSegmenter | None, job: Job
-    ) -> tuple[Source, Sequence[Detection]]:
-        """Boxes of people, and how they were found."""
-        if upload.boxes is not None:
-            return "boxes", [Detection(box, 1.0) for box in upload.boxes]
-        with job.stage("detect"):
-            found = (background or self.models.detector).detect(upload.frame)
-        job.checkpoint()
-        return "background" if background else "detector", found[: self.max_persons]
-
-    def _observe(
-        self,
-        source: Source,
-        found: Sequence[Detection],
-        upload: DecodedUpload,
-        background: BackgroundSegmenter | None,
-        landmarks: bool,
-        job: Job,
-    ) -> list[Person]:
-        """Read detections, drop repeated ones of the same body, and cut out the silhouettes."""
-        frame = upload.frame
-        readings: list[PoseReading] = []
-        if landmarks or background is None:
-            with job.stage("keypoints"):
-                readings = self.read(frame, found, job)
-            if source != "boxes":
-                kept = distinct_bodies(readings)
-                found, readings = [found[i] for i in kept], [readings[i] for i in kept]
-        boxes = [one.box for one in found]
-        with job.stage("segment"):
-            silhouettes = (
-                silhouettes_of(
-                    readings,
-                    boxes,
-                    frame.shape,
-                    exact=source == "boxes",
-                    checkpoint=job.checkpoint,
-                )
-                if background is None
-                else background.segment(frame, boxes, job.checkpoint)
-            )
-        shown: Sequence[PoseReading | None] = readings or [None] * len(found)
-        return [
-            self.make_observation(
-                frame,
-                upload.camera,
-                one.box,
-                source,
-                None if source == "boxes" else one.score,
-                silhouette,
-                reading,
-            )
-            for one, silhouette, reading in zip(found, silhouettes, shown, strict=True)
-        ]
-
-    def _people_in_mask(
-        self, mask: LabelImage, upload: DecodedUpload, landmarks: bool, job: Job
-    ) -> list[Person]:
-        with job.stage("segment"):
-            silhouettes = silhouettes_from_labels(mask)
-        if not landmarks:
-            return [Person(one.box, "mask", None, one) for one in silhouettes]
         with job.stage("keypoints"):
-            marked = [Detection(one.box, 1.0) for one in silhouettes]
-            readings = self.read(upload.frame, marked, job)
-        return [
-            self.make_observation(upload.frame, upload.camera, one.box, "mask", None, one, reading)
-            for one, reading in zip(silhouettes, readings, strict=True)
-        ]
+            return job.map(read, targets)
 
-    def make_observation(
+    def observe(
         self,
-        frame: NDArray[np.uint8],
-        camera: PinholeCamera,
-        box: Box,
-        source: Source,
-        score: float | None,
-        silhouette: Silhouette | None,
-        reading: PoseReading | None,
+        upload: DecodedUpload,
+        targets: Sequence[Target],
+        job: Job,
+        source: Source = "detector",
+        *,
+        landmarks: bool = True,
+        cut: Cut | None = None,
+        tight: bool = False,
+    ) -> list[Person | None]:
+        """Observe people: read each body once, cut out the silhouettes, judge the landmarks.
+
+        Parameters
+        ----------
+        source : str
+            Who found the people. Those whom the caller marked stay, whatever is seen of them.
+        landmarks : bool
+            Whether landmarks are wanted; otherwise they only separate people.
+        cut : callable, optional
+            Cuts people out of their boxes; by default, the masks of their readings do.
+        tight : bool
+            Whether people get the boxes of their silhouettes: a detector's box may include more
+            than the body.
+
+        Returns
+        -------
+        list of Person or None
+            One for each target; None where nobody is seen, or a body that another target shows.
+        """
+        frame, marked, reads = upload.frame, source in MARKED, landmarks or cut is None
+        readings = self.read(frame, targets, job) if reads else [None] * len(targets)
+        rows = distinct(targets, readings) if reads and not marked else [*range(len(targets))]
+        boxes = [_box(targets[row], readings[row]) for row in rows]
+        with job.stage("segment"):
+            read = [reading for row in rows if (reading := readings[row])]
+            silhouettes = (
+                silhouettes_of(read, boxes, frame.shape, exact=marked, checkpoint=job.checkpoint)
+                if cut is None
+                else cut(boxes)
+            )
+        people: list[Person | None] = [None] * len(targets)
+        for row, box, silhouette in zip(rows, boxes, silhouettes, strict=True):
+            reading = readings[row]
+            if silhouette is None and not marked:
+                continue  # A detection without a silhouette is unlikely to be a person.
+            if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
+                box = silhouette.box
+            person = Person(box, source, targets[row].score, silhouette)
+            people[row] = self._with_reading(person, reading, upload, landmarks)
+        return people
+
+    def _with_reading(
+        self, person: Person, reading: PoseReading | None, upload: DecodedUpload, landmarks: bool
     ) -> Person:
-        """Combine what is known about a person; landmarks may show that the body is truncated."""
+        """Add whether the reading shows that the body is truncated, and landmarks if wanted."""
         if reading is None:
-            return Person(box, source, score, silhouette)
-        landmarks = attenuate_visibility_at_border(reading, frame.shape)
-        if silhouette is not None and end_beyond_border(box, landmarks, frame.shape):
+            return person
+        shape, silhouette = upload.frame.shape, person.silhouette
+        visible = attenuate_visibility_at_border(reading, shape)
+        if silhouette is not None and end_beyond_border(person.box, visible, shape):
             silhouette = replace(silhouette, truncated=True)
-        seen = Person(
-            box, source, score, silhouette, landmarks, reading.presence, reading.next_window
+        person = replace(
+            person,
+            silhouette=silhouette,
+            presence=reading.presence,
+            next_window=reading.next_window,
         )
+        if not landmarks:
+            return person
         if reading.network_pass is None:
-            return seen
-        judged = self.models.judgement.judge(reading, camera)
-        body = judged.body
-        metres = body.along_sight(camera, landmarks)
+            return replace(person, landmarks=visible)
+        judged = self.models.judgement.judge(reading, upload.camera)
+        metres = judged.body.along_sight(upload.camera, visible)
         return replace(
-            seen,
-            landmarks=replace(landmarks, metres=metres, depth_sd=body.depth_sd),
+            person,
+            landmarks=replace(visible, metres=metres, depth_sd=judged.body.depth_sd),
             frame_posture=judged.posture,
             trust=judged.trust,
         )
 
 
-def without_landmarks(person: Person) -> Person:
-    """A person without landmarks and what is judged from them."""
-    return replace(person, landmarks=None, frame_posture=None, trust=None)
+def _box(target: Target, reading: PoseReading | None) -> Box:
+    """The target's own box or, where only a track expects the person, one about the landmarks."""
+    if target.detection is not None or target.expected is None or reading is None:
+        return target.box
+    box = reading.landmarks.box()
+    margin = BODY_MARGIN * max(box.width, box.height)
+    return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
+
+
+def distinct(targets: Sequence[Target], readings: Sequence[PoseReading | None]) -> list[int]:
+    """Rows of one reading of each body, in order: a detection's rather than a track's.
+
+    Of two detections the better one is kept, of two tracks the one whose box is nearer to the body.
+    """
+    read = {row: reading for row, reading in enumerate(readings) if reading is not None}
+
+    def rank(row: int) -> tuple[float, float]:
+        target = targets[row]
+        if target.detection is not None:
+            return -target.detection.score, 0.0
+        return 0.0, -target.box.iou(read[row].landmarks.box())
+
+    order = sorted(read, key=rank)
+    return sorted(order[i] for i in distinct_bodies([read[row] for row in order]))
 
 
 DUPLICATE_BODY_DISTANCE = 0.12

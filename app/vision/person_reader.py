@@ -35,6 +35,15 @@ _GOOD_QUALITY = 0.85  # From this quality on, no further window is tried.
 # Below this quality, the window that the best reading points to is read.
 _DOUBTFUL_QUALITY = 0.6
 
+MIN_PRESENCE = 0.5
+"""Presence from which the landmark network recognises a person."""
+
+# A window has lost its person if the next one would be farther away than this share of its side.
+_MAX_DRIFT = 0.35
+# Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
+# the reading itself; poses of smaller people are averaged over more frames instead.
+_MOVENET_FROM_PX = 200.0
+
 
 @dataclass(frozen=True)
 class PersonReader:
@@ -49,7 +58,7 @@ class PersonReader:
         box: Box,
         keypoints: ObservedKeypoints | None = None,
         windows: Sequence[PersonWindow] = (),
-        tracked: PoseReading | None = None,
+        expected: PersonWindow | PoseReading | None = None,
     ) -> PoseReading:
         """Read the person in a box.
 
@@ -63,9 +72,9 @@ class PersonReader:
             MoveNet's keypoints, in pixels of the frame; by default they are read in the box.
         windows : sequence of PersonWindow
             Windows to try besides the one about the box, the likeliest first.
-        tracked : PoseReading, optional
-            Reading in the window that the person's track expects; if it is good, no other window is
-            read.
+        expected : PersonWindow or PoseReading, optional
+            Window in which a track expects the person, or the reading in it; if that is good, no
+            other window is read.
 
         Returns
         -------
@@ -79,26 +88,48 @@ class PersonReader:
         about = [PersonWindow.about_box(box, roll_deg)]
         if _MIN_LEAN_DEG < abs(roll_deg) < _MAX_LEAN_DEG:
             about.append(PersonWindow.about_box(box))
-        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints, tracked)
+        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints, expected)
         if keypoints is None or best.keypoints is not None:
             return best
         return fuse(best, keypoints)
+
+    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
+        """Read a person in the window that their last landmarks point to.
+
+        Returns
+        -------
+        PoseReading or None
+            None if the window no longer shows the person.
+        """
+        reading = self.network.read(frame, window)
+        if reading.presence < MIN_PRESENCE or reading.drift > _MAX_DRIFT:
+            return None
+        if reading.body_px < _MOVENET_FROM_PX:
+            return reading
+        box = reading.landmarks.box()
+        keypoints = self.keypoint_reader.read(frame, box)
+        if keypoints is None:
+            return reading
+        if sides_exchanged(reading, keypoints):
+            # The window may have led the network astray.
+            return self.read(frame, box, keypoints)
+        return fuse(reading, keypoints)
 
     def _best_reading(
         self,
         frame: NDArray[np.uint8],
         windows: Iterable[PersonWindow],
         keypoints: ObservedKeypoints | None,
-        tracked: PoseReading | None,
+        expected: PersonWindow | PoseReading | None,
     ) -> PoseReading:
         """The first good reading, else the best; if it is doubtful, its next window is tried."""
 
         def quality_of(reading: PoseReading) -> float:
             return reading_quality(reading, keypoints)
 
-        known = [] if tracked is None else [tracked]
-        readings = []
-        for reading in chain(known, (self.network.read(frame, window) for window in windows)):
+        readings: list[PoseReading] = []
+        for known in windows if expected is None else chain([expected], windows):
+            reading = known if isinstance(known, PoseReading) else self.network.read(frame, known)
             if quality_of(reading) >= _GOOD_QUALITY:
                 return reading
             readings.append(reading)

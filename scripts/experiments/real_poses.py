@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
+from app.estimation.finder import Target
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import Person
+from app.estimation.upload import Upload
 from app.photograph import Estimator, fit_poses
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.models import fitted_constants as constants_of
 from app.vision.odds import sigmoid
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES, Detection, Silhouette
-from app.vision.silhouettes import silhouettes_of
+from app.vision.people import LANDMARK_NAMES, Silhouette
 from descriptor.silhouette import normalise
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import LIMB_ROWS, LIMBS, wrap_degrees
@@ -82,9 +83,8 @@ def cut_out(
     estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box]
 ) -> list[Silhouette | None]:
     """Return the service's own silhouettes of people in given boxes."""
-    found = [Detection(box, 1.0) for box in boxes]
-    readings = estimator.finder.read(frame, found, Job())
-    return silhouettes_of(readings, boxes, frame.shape, exact=True)
+    decoded = estimator.decode(Upload(frame, boxes=boxes), Job())
+    return [one.silhouette for one in estimator.finder.find(decoded, "silhouette", Job())]
 
 
 def in_photographs(people: Sequence[StreetPerson], estimator: Estimator) -> list[Shown]:
@@ -127,10 +127,12 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     person = Person(shown.box, "boxes", None, shown.silhouette)
     camera = PinholeCamera.of_frame(shown.frame.shape)
     if way != SILHOUETTE:
-        reading = estimator.models.reader.read(shown.frame, shown.box)
-        person = estimator.finder.make_observation(
-            shown.frame, camera, shown.box, "boxes", None, shown.silhouette, reading
+        decoded = estimator.decode(Upload(shown.frame), Job())
+        (seen,) = estimator.finder.observe(
+            decoded, [Target(shown.box)], Job(), "boxes", cut=lambda _: [shown.silhouette]
         )
+        assert seen is not None
+        person = seen
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.normalised_landmarks() is None:

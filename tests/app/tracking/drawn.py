@@ -53,8 +53,11 @@ class ColourReader:
     """Reads the drawn people: a mask of their colour, and landmarks within it."""
 
     def __init__(self) -> None:
-        self.network = self
         self.passes = 0
+
+    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
+        reading = self.read(frame, window)
+        return reading if reading.presence > 0.5 and reading.drift < 0.35 else None
 
     def read(
         self,
@@ -62,10 +65,10 @@ class ColourReader:
         where: Box | PersonWindow,
         keypoints: object = None,
         windows: object = (),
-        tracked: PoseReading | None = None,
+        expected: PersonWindow | PoseReading | None = None,
     ) -> PoseReading:
-        if tracked is not None:
-            return tracked
+        if isinstance(expected, PoseReading):
+            return expected
         self.passes += 1
         window = where if isinstance(where, PersonWindow) else PersonWindow.about_box(where)
         picture = sample_window(frame, window, LANDMARK_PX).astype(int)

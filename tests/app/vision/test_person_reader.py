@@ -66,9 +66,21 @@ def test_good_reading_in_the_window_of_a_track_suffices(
 ) -> None:
     box, reading, neighbour = walkers[2], readings[2], readings[0]
     keypoints = reading.keypoints
-    assert person_reader.read(street, box, keypoints, tracked=reading) is reading
-    found = person_reader.read(street, box, keypoints, tracked=neighbour)
+    assert person_reader.read(street, box, keypoints, expected=reading) is reading
+    found = person_reader.read(street, box, keypoints, expected=neighbour)
     assert_allclose(found.landmarks.positions, reading.landmarks.positions)
+
+
+def test_a_person_is_followed_as_long_as_the_window_shows_them(
+    person_reader: PersonReader, street: NDArray[np.uint8], readings: list[PoseReading]
+) -> None:
+    for reading in readings:
+        followed = person_reader.follow(street, reading.next_window)
+        assert followed is not None
+        apart = followed.landmarks.positions - reading.landmarks.positions
+        assert np.linalg.norm(apart, axis=1).mean() < 0.1 * reading.body_px
+    empty = np.full_like(street, 127)
+    assert person_reader.follow(empty, readings[0].next_window) is None
 
 
 def test_agreement_presence_and_little_drift_are_good(readings: list[PoseReading]) -> None:
