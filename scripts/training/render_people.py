@@ -6,7 +6,8 @@
 Writes ``windows-NNNN.npz``, 500 photographs each, with the truth about them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
 seven shows nobody. The same bytes come out for the same seed; files that are there are not made
-again. ``--sheet FILE`` draws a contact sheet to look at instead.
+again. Instead, ``--sheet FILE`` draws a contact sheet to look at, and ``--pictures FOLDER`` writes
+pictures as MoveNet sees them, for the calibration of its 8-bit ranges.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
-from app.vision.geometry import PersonWindow
+from app.vision.detector import OVERVIEW_PX
+from app.vision.geometry import Box, PersonWindow, crop_and_resize
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
+from app.vision.movenet import keypoint_window
 from scripts.training.photograph_data import WindowRows, joined
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 
@@ -118,6 +121,21 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
 
 
+def write_pictures(studio: Studio, seed: int, count: int, folder: Path) -> None:
+    """Write photographs as PNG as MoveNet sees them: whole, and every second person's window."""
+    folder.mkdir(parents=True, exist_ok=True)
+    columns, rows = OVERVIEW_PX
+    for number in tqdm(range(count), unit="picture"):
+        photograph, _ = photograph_of(studio, seed, number)
+        image = photograph.image
+        if number % 2 and photograph.posture != EMPTY:
+            small = crop_and_resize(image, *keypoint_window(Box(*photograph.box.tolist())))
+        else:
+            scale = min(columns / image.shape[1], rows / image.shape[0])
+            small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / f"{number:04d}.png"), small)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(
@@ -128,10 +146,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--count", type=int, default=10_000, help="photographs")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    parser.add_argument("--pictures", type=Path, help="write pictures into this folder")
     parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
     options = parser.parse_args(arguments)
-    if options.out is None and options.sheet is None:
-        parser.error("expected --out or --sheet")
+    if options.out is None and options.sheet is None and options.pictures is None:
+        parser.error("expected --out, --pictures or --sheet")
     cv2.setNumThreads(1)
     studio = Studio.open(
         options.shared / "mocap",
@@ -142,6 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     if options.sheet is not None:
         cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
+        return
+    if options.pictures is not None:
+        write_pictures(studio, options.seed, options.count, options.pictures)
         return
     network = LandmarkNetwork(network_path("pose_landmarks"))
     options.out.mkdir(parents=True, exist_ok=True)
