@@ -20,7 +20,7 @@ ARG REVISION=unknown
 LABEL org.opencontainers.image.title="silhouette-pose" \
       org.opencontainers.image.licenses="Apache-2.0" \
       org.opencontainers.image.revision="${REVISION}"
-# Nothing is written at run time: the root may be read-only, uploads stay in memory.
+# The service writes nothing at run time: the root may be read-only, uploads stay in memory.
 ENV HOST=0.0.0.0 \
     PORT=8000 \
     POSE_REVISION="${REVISION}" \
@@ -28,6 +28,11 @@ ENV HOST=0.0.0.0 \
     PYTHONUNBUFFERED=1
 COPY --from=build /srv/.venv /srv/.venv
 WORKDIR /srv
+# The bridge of a camera: compose.yaml runs it from the same image, with a volume for its queue.
+COPY scripts/__init__.py scripts/__init__.py
+COPY scripts/__main__.py scripts/__main__.py
+COPY scripts/watch_camera scripts/watch_camera
+RUN install --directory --owner=10001 --group=10001 /queue
 USER 10001:10001
 EXPOSE 8000
 HEALTHCHECK --interval=10s --timeout=2s --start-period=10s \

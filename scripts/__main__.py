@@ -58,9 +58,11 @@ def main(arguments: Sequence[str]) -> int:
     except ModuleNotFoundError as error:
         if not error.name or error.name.startswith("scripts"):
             raise
+        package = error.name.partition(".")[0]
+        folder = ".venv" if name == "watch-camera" else ".venv-build"
         message = (
-            f"expected the package {error.name.partition('.')[0]}, which `make .venv-build/.stamp` "
-            f"installs: then `.venv-build/bin/python -m scripts {name}`"
+            f"expected the package {package}, which `make {folder}/.stamp` installs: "
+            f"then `{folder}/bin/python -m scripts {name}`"
         )
     except (OSError, ValueError) as error:
         message = str(error)

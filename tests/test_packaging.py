@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import shutil
 import sys
 import tomllib
@@ -20,6 +21,7 @@ from tests.support.programs import output_of, run
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 UNIT = ROOT / "deploy" / "silhouette-pose.service"
+INSTALLED = "/opt/silhouette-pose/.venv/bin/python"
 
 
 def test_what_the_dockerfile_copies_is_there_and_not_ignored() -> None:
@@ -56,15 +58,50 @@ def test_the_uploads_that_are_taken_fit_the_memory_limit(file: str | Path, patte
     assert measured("reliability")["fuzz"]["max_memory_mb"] + uploads_mb <= int(found.group(1))
 
 
-def test_the_unit_is_sound(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["silhouette-pose.service", "silhouette-watch@.service"])
+def test_a_unit_is_sound(name: str, tmp_path: Path) -> None:
     if shutil.which("systemd-analyze") is None:
         pytest.skip("needs systemd-analyze")
-    unit = tmp_path / UNIT.name
     # It asks whether the program is there.
-    text = UNIT.read_text().replace("/opt/silhouette-pose/.venv/bin/python", sys.executable)
+    text = (ROOT / "deploy" / name).read_text().replace(INSTALLED, sys.executable)
+    unit = tmp_path / name.replace("@", "@yard")
     unit.write_text(text)
     result = run("systemd-analyze", "verify", unit)
     assert (result.returncode, result.stderr) == (0, "")
+    assert "network-online.target" in text
+    assert "RestartSec" in text
+
+
+def test_the_unit_knows_its_revision() -> None:
+    if not (ROOT / ".git").exists():
+        pytest.skip("needs a checkout")
+    (command,) = re.findall("^ExecStart=(.+)", UNIT.read_text(), re.MULTILINE)
+    shell, option, program = shlex.split(command.replace("$$", "$"))
+    environment = output_of(shell, option, program.replace(f"{INSTALLED} -m app", "env"))
+    revision = output_of("git", "rev-parse", "--short", "HEAD")
+    assert f"POSE_REVISION={revision}" in environment
+
+
+@pytest.mark.parametrize(
+    ("file", "pattern"),
+    [
+        ("compose.yaml", r"-m scripts (watch-camera .+\n.+)"),
+        ("deploy/silhouette-watch@.service", r"-m scripts (watch-camera .+)"),
+    ],
+)
+def test_what_the_image_has_runs_the_bridge(file: str, pattern: str, tmp_path: Path) -> None:
+    for source, target in re.findall(r"^COPY (scripts\S+) (\S+)", DOCKERFILE, re.MULTILINE):
+        copy = shutil.copytree if (ROOT / source).is_dir() else shutil.copy
+        (tmp_path / target).parent.mkdir(exist_ok=True)
+        copy(ROOT / source, tmp_path / target)
+    (command,) = re.findall(pattern, (ROOT / file).read_text())
+    arguments = command.replace("%i", "yard").split()
+    ended = run(
+        *(sys.executable, "-m", "scripts", *arguments), cwd=tmp_path, WATCH_SOURCE="rtsp://camera"
+    )
+    # The folder of its queue is only there.
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.startswith("watch-camera: --queue: expected a file for events, got ")
 
 
 def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> None:

@@ -1,8 +1,9 @@
 """Events and presence over MQTT, with the discovery of Home Assistant.
 
-Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON; ``people`` a number,
-``zones/ZONE`` ON or OFF and ``available`` online or offline, all retained; ``fell`` is ON for
-:data:`FELL_SHOWN_S` after a fall.
+Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
+retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
+``people`` (a number), ``zones/ZONE`` (ON or OFF) and ``fell`` (JSON whose ``state`` is ON for
+:data:`FELL_SHOWN_S` after a fall, and its ``time``). People and zones are None while offline.
 """
 
 from __future__ import annotations
@@ -10,23 +11,28 @@ from __future__ import annotations
 import json
 import re
 import threading
+import time
 import zlib
-from collections.abc import Iterable
+from collections.abc import Mapping
 from typing import Any
-from urllib.parse import unquote, urlsplit
+from urllib.parse import SplitResult, unquote
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from scripts.watch_camera.outbox import DeliveryError, Message
-from scripts.watch_camera.presence import Presence
+from scripts.watch_camera.common import Trouble, UnavailableError, say
+from scripts.watch_camera.outbox import Message
 
+BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
-_TIMEOUT_S = 10.0
-_MAX_PAUSE_S = 10
+_UNKNOWN = "None"  # As Home Assistant's sensors have it.
+# The broker reports a dead machine after one and a half of these: within BLIND_AFTER_S, too.
+_KEEPALIVE_S = 10
+_ANSWERS_WITHIN_S = 5.0
+_RETRY_AFTER_S = 10.0
 
 
 def slug(name: str) -> str:
@@ -44,122 +50,173 @@ def slug(name: str) -> str:
 class HomeAssistant:
     """A connection to a broker that reconnects by itself.
 
+    One thread calls :meth:`keep` and :meth:`send`; any may call :meth:`show`.
+
     Parameters
     ----------
-    url : str
+    address : SplitResult
         ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
     camera_id : str
     """
 
-    def __init__(self, url: str, camera_id: str) -> None:
-        parts = urlsplit(url)
-        secure = parts.scheme == "mqtts"
-        self._camera_id, self._base = camera_id, f"silhouette-pose/{camera_id}"
-        self._retained: dict[str, str] = {f"{self._base}/available": "online"}
-        self._zones: list[str] = []
-        self._acknowledged: set[int] = set()
+    def __init__(self, address: SplitResult, camera_id: str) -> None:
+        self._name = f"Silhouette pose {camera_id}"
+        self._device = f"silhouette_pose_{slug(camera_id)}"
+        self._base = f"silhouette-pose/{camera_id}"
+        self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
+        self._fell_until = self._seen_at = 0.0
+        self._last_fall = ""
+        # Retained messages by topic: those that there should be, and those that the broker has.
+        self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
+        self._published: dict[str, str] = {}
+        self._retry_at: dict[str, float] = {}
+        self._zones: dict[str, str] = {}
+        self._answers: dict[int, Any] = {}
         self._changed = threading.Condition()
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5)
-        if secure:
-            self._client.tls_set()
-        if parts.username is not None:
-            password = None if parts.password is None else unquote(parts.password)
-            self._client.username_pw_set(unquote(parts.username), password)
-        self._client.will_set(f"{self._base}/available", "offline", qos=1, retain=True)
-        self._client.reconnect_delay_set(1, _MAX_PAUSE_S)
-        self._client.on_connect = self._on_connect
-        self._client.on_publish = self._on_publish
+        self._outage, self._outage_began = "does not answer", time.monotonic()
+        self._trouble = Trouble("mqtt: the broker answers again")
         self._announce(
-            "binary_sensor", "fell", "fell", device_class="problem", off_delay=FELL_SHOWN_S
+            "binary_sensor",
+            "fell",
+            "fell",
+            device_class="problem",
+            value_template="{{ value_json.state }}",
+            json_attributes_topic=self._fell,
         )
         self._announce("sensor", "people", "people", state_class="measurement")
-        self._client.connect_async(
-            parts.hostname or "127.0.0.1", parts.port or (1883, 8883)[secure]
-        )
+        # By its name, the broker knows that an earlier connection of this camera is dead.
+        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
+        if address.scheme == "mqtts":
+            self._client.tls_set()
+        if address.username is not None:
+            password = None if address.password is None else unquote(address.password)
+            self._client.username_pw_set(unquote(address.username), password)
+        self._client.will_set(self._available, "offline", qos=1, retain=True)
+        self._client.reconnect_delay_set(1, 10)
+        self._client.on_connect = self._on_connect
+        self._client.on_disconnect = self._on_disconnect
+        self._client.on_publish = self._on_publish
+        port = address.port or (8883 if address.scheme == "mqtts" else 1883)
+        self._client.connect_async(address.hostname or "", port, _KEEPALIVE_S)
         self._client.loop_start()
 
     def send(self, message: Message) -> None:
         """Publish an event; return once the broker has it."""
         if not self._client.is_connected():
-            raise DeliveryError("the broker does not answer")
-        if message["event"] == "fell":
-            # Retained, since a listener may return later than this after a restart of the broker;
-            # expiring, so that nobody takes it for a new fall later on.
-            expiry = Properties(PacketTypes.PUBLISH)
-            expiry.MessageExpiryInterval = FELL_SHOWN_S
-            self._publish_surely("fell", "ON", retain=True, properties=expiry)
-        self._publish_surely("events", json.dumps(message))
+            raise UnavailableError(f"the broker {self._outage}")
+        if message["event"] == "fell" and message["id"] != self._last_fall:
+            self._fell_until = time.monotonic() + FELL_SHOWN_S
+            with self._changed:
+                self._state[self._fell] = json.dumps({"state": "ON", **message})
+            self._retain(self._fell)
+            self._last_fall = message["id"]
+        self._publish(f"{self._base}/events", json.dumps(message))
 
-    def show(self, presence: Presence, zones: Iterable[str]) -> None:
-        """Publish how many people there are and which zones are occupied; announce new zones."""
-        zones = list(zones)
-        for gone in [zone for zone in self._zones if zone not in zones]:
-            self._retain(self._config("binary_sensor", f"zone_{slug(gone)}"), "")
-        for new in [zone for zone in zones if zone not in self._zones]:
-            self._announce(
-                "binary_sensor",
-                f"zones/{slug(new)}",
-                new,
-                device_class="occupancy",
-                identity=f"zone_{slug(new)}",
-            )
-        self._zones = zones
-        self._retain(f"{self._base}/people", str(presence.people))
-        for zone in zones:
-            state = "ON" if presence.is_occupied(zone) else "OFF"
-            self._retain(f"{self._base}/zones/{slug(zone)}", state)
-
-    def close(self) -> None:
-        """Report that the camera is no longer watched, and disconnect."""
-        if self._client.is_connected():
-            topic = f"{self._base}/available"
-            self._client.publish(topic, "offline", qos=1, retain=True).wait_for_publish(_TIMEOUT_S)
-        self._client.disconnect()
-        self._client.loop_stop()
-
-    def _publish_surely(self, topic: str, payload: str, **options: Any) -> None:
-        # Waits through reconnections, after which the client sends again what is not acknowledged.
-        self._acknowledged.clear()
-        number = self._client.publish(f"{self._base}/{topic}", payload, qos=1, **options).mid
+    def show(self, people: int, zones: Mapping[str, bool]) -> None:
+        """Show how many people there are and which zones are occupied; announce new zones."""
+        topics = {f"zones/{slug(name)}": name for name in zones}
         with self._changed:
-            self._changed.wait_for(lambda: number in self._acknowledged)
+            self._seen_at = time.monotonic()
+            for gone in self._zones.keys() - topics.keys():
+                self._state[self._config("binary_sensor", gone)] = ""
+            for topic, name in topics.items():
+                self._announce("binary_sensor", topic, name, device_class="occupancy")
+                self._state[f"{self._base}/{topic}"] = "ON" if zones[name] else "OFF"
+            self._zones = topics
+            self._state[f"{self._base}/people"] = str(people)
+            self._state[self._available] = "online"
 
-    def _config(self, component: str, identity: str) -> str:
-        device = f"silhouette_pose_{slug(self._camera_id)}"
-        return f"{DISCOVERY_PREFIX}/{component}/{device}/{identity}/config"
+    def keep(self) -> None:
+        """Publish what has changed, and notice that nobody has shown anything for too long."""
+        now = time.monotonic()
+        with self._changed:
+            if self._state[self._available] == "online" and now > self._seen_at + BLIND_AFTER_S:
+                say(f"no frame was answered for {BLIND_AFTER_S:g} s: the camera is offline")
+                self.hide()
+            if self._fell_until and now > self._fell_until:
+                self._fell_until = 0.0
+                fall = json.loads(self._state[self._fell])
+                self._state[self._fell] = json.dumps({**fall, "state": "OFF"})
+        if not self._client.is_connected():
+            if now > self._outage_began + _ANSWERS_WITHIN_S:
+                self._trouble.report(f"mqtt: the broker {self._outage}")
+            return
+        self._trouble.end()
+        for topic in [topic for topic in self.news() if now >= self._retry_at.get(topic, 0.0)]:
+            try:
+                self._retain(topic)
+            except UnavailableError as error:
+                if topic not in self._retry_at:
+                    say(f"mqtt: {error}")
+                self._retry_at[topic] = now + _RETRY_AFTER_S
 
-    def _announce(
-        self, component: str, topic: str, name: str, identity: str | None = None, **fields: Any
-    ) -> None:
+    def hide(self) -> None:
+        """Show that the camera is offline; people and zones become unknown."""
+        with self._changed:
+            self._state[self._available] = "offline"
+            for topic in ("people", *self._zones):
+                self._state[f"{self._base}/{topic}"] = _UNKNOWN
+
+    def news(self) -> list[str]:
+        """Return the topics whose retained message the broker does not have yet."""
+        with self._changed:
+            return [t for t, payload in self._state.items() if self._published.get(t) != payload]
+
+    def _retain(self, topic: str) -> None:
+        """Publish a retained message as it should be."""
+        with self._changed:
+            payload = self._state[topic]
+        options = {}
+        if topic == self._fell and self._fell_until:
+            # Even if this program ends: nobody shall take it for a new fall later on.
+            options["properties"] = Properties(PacketTypes.PUBLISH)
+            options["properties"].MessageExpiryInterval = FELL_SHOWN_S
+        self._publish(topic, payload, retain=True, **options)
+        with self._changed:
+            self._published[topic] = payload
+        self._retry_at.pop(topic, None)
+
+    def _publish(self, topic: str, payload: str, **options: Any) -> None:
+        """Publish, and wait for the broker's answer.
+
+        It waits through reconnections, after which the client sends again what has no answer.
+        """
+        number = self._client.publish(topic, payload, qos=1, **options).mid
+        with self._changed:
+            while not self._changed.wait_for(lambda: number in self._answers, _ANSWERS_WITHIN_S):
+                self._trouble.report(f"mqtt: the broker {self._outage}")
+            answer = self._answers.pop(number)
+        if answer.is_failure:
+            raise UnavailableError(f"the broker refuses {topic}: {answer}")
+
+    def _config(self, component: str, topic: str) -> str:
+        return f"{DISCOVERY_PREFIX}/{component}/{self._device}/{topic.replace('/', '_')}/config"
+
+    def _announce(self, component: str, topic: str, name: str, **fields: str) -> None:
         """Announce an entity of Home Assistant."""
-        device = f"silhouette_pose_{slug(self._camera_id)}"
-        identity = identity or topic
         config = {
             "name": name,
-            "unique_id": f"{device}_{identity}",
+            "unique_id": f"{self._device}_{topic.replace('/', '_')}",
             "state_topic": f"{self._base}/{topic}",
-            "availability_topic": f"{self._base}/available",
-            "device": {"identifiers": [device], "name": f"Silhouette pose {self._camera_id}"},
+            "availability_topic": self._available,
+            "device": {"identifiers": [self._device], "name": self._name},
             **fields,
         }
-        self._retain(self._config(component, identity), json.dumps(config))
+        self._state[self._config(component, topic)] = json.dumps(config)
 
-    def _retain(self, topic: str, payload: str) -> None:
-        """Publish a retained message unless the broker has it; repeated after each reconnection."""
+    def _on_connect(
+        self, _client: mqtt.Client, _data: Any, _flags: Any, answer: Any, _: Any
+    ) -> None:
         with self._changed:
-            if self._retained.get(topic) == payload:
-                return
-            self._retained[topic] = payload
-        if self._client.is_connected():
-            self._client.publish(topic, payload, qos=0, retain=True)
+            self._outage = f"refuses: {answer}" if answer.is_failure else "does not answer"
+            self._published.clear()
 
-    def _on_connect(self, client: mqtt.Client, *_: Any) -> None:
-        with self._changed:
-            retained = dict(self._retained)
-        for topic, payload in retained.items():
-            client.publish(topic, payload, qos=0, retain=True)
+    def _on_disconnect(self, *_: Any) -> None:
+        self._outage_began = time.monotonic()
 
-    def _on_publish(self, _client: mqtt.Client, _data: Any, number: int, *_: Any) -> None:
+    def _on_publish(
+        self, _client: mqtt.Client, _data: Any, number: int, answer: Any, _: Any
+    ) -> None:
         with self._changed:
-            self._acknowledged.add(number)
+            self._answers[number] = answer
             self._changed.notify_all()

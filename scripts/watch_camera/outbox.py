@@ -1,137 +1,186 @@
-"""Events that wait until each receiver has taken them, in a file or in memory."""
+"""Events that wait until each receiver has taken them, in memory and in a file."""
 
 from __future__ import annotations
 
 import json
 import sqlite3
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scripts.watch_camera.common import say
+from scripts.watch_camera.common import RefusedError, Trouble, UnavailableError, say
 
 Message = Mapping[str, Any]
 
-RETRY_AFTER_S = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
 MAX_WAITING = 100_000
 """For each receiver; beyond it the oldest are dropped."""
 
+_POLL_S = 0.2
+# A message names its camera, and its id is that of no other camera.
 _SCHEMA = """
 create table if not exists waiting (
-    number integer primary key, receiver text, id text, message text, unique (receiver, id))
+    number integer primary key, receiver text, id text, message text, unique (receiver, id));
+create table if not exists newest (camera text primary key, id text);
 """
 
 
-class DeliveryError(Exception):
-    """A receiver has not taken a message, and may take it later."""
-
-
-class RefusalError(Exception):
-    """A receiver will never take this message."""
-
-
 class Outbox:
-    """Messages in order, for several receivers; safe under several threads.
+    """A camera's messages in order, for several receivers; safe under several threads.
 
     Parameters
     ----------
-    path : Path or None
-        Keeps them beyond the end of the process; None for memory alone.
+    camera_id : str
+    receivers : iterable of str
+        Their names.
+    path : Path, optional
+        Keeps the messages beyond the end of the process, and those of other cameras. While it
+        cannot be written, messages wait in memory alone.
+
+    Attributes
+    ----------
+    newest : str or None
+        Id of the newest message that was put, even by an earlier process; None if none ever was.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
-        self._database = sqlite3.connect(
-            path or ":memory:", check_same_thread=False, isolation_level=None
-        )
-        self._database.execute(_SCHEMA)
+    def __init__(self, camera_id: str, receivers: Iterable[str], path: Path | None = None) -> None:
+        self.newest: str | None = None
+        self._camera_id, self._path = camera_id, path
+        self._waiting: dict[str, dict[str, Message]] = {name: {} for name in receivers}
+        # Receiver and id of what the file does not have yet, or has although it was taken.
+        self._unsaved: dict[tuple[str, str], None] = {}
+        self._trouble = Trouble(f"--queue: events are stored in {path} again")
         self._changed = threading.Condition()
+        if path is not None:
+            try:
+                self._load(path)
+            except sqlite3.Error as error:
+                raise OSError(f"--queue: expected a file for events, got {path}: {error}") from None
 
     def __len__(self) -> int:
         with self._changed:
-            count: int = self._database.execute("select count(*) from waiting").fetchone()[0]
-            return count
+            return sum(map(len, self._waiting.values()))
 
-    def put(self, receivers: Iterable[str], message: Message) -> None:
-        """Add a message for each receiver, unless one with its ``id`` waits already."""
+    @property
+    def is_saved(self) -> bool:
+        """Whether all that waits is in the file."""
+        return self._path is not None and not self._unsaved
+
+    def put(self, message: Message) -> None:
+        """Add a message for each receiver, unless it waits already."""
         with self._changed:
-            self._database.execute("begin")
-            for receiver in receivers:
-                row = (receiver, message["id"], json.dumps(message))
-                self._database.execute(
-                    "insert or ignore into waiting (receiver, id, message) values (?, ?, ?)", row
-                )
-                dropped = self._database.execute(
-                    "delete from waiting where number in (select number from waiting "
-                    "where receiver = ? order by number desc limit -1 offset ?)",
-                    (receiver, MAX_WAITING),
-                )
-                if dropped.rowcount:
+            for receiver, waiting in self._waiting.items():
+                if message["id"] not in waiting:
+                    waiting[message["id"]] = message
+                    self._unsaved[receiver, message["id"]] = None
+                if len(waiting) > MAX_WAITING:
+                    self._drop(receiver, next(iter(waiting)))
                     say(f"{receiver} has not answered for too long: the oldest event is dropped")
-            self._database.execute("commit")
+            self.begin_after(message["id"])
             self._changed.notify_all()
 
-    def wait_for_next(self, receiver: str, timeout_s: float) -> tuple[int, Message] | None:
-        """Return number and content of a receiver's oldest message; None if there is none."""
+    def begin_after(self, message_id: str) -> None:
+        """Take a message as the newest that was put; with an empty id, any is newer."""
         with self._changed:
-            row = self._oldest(receiver)
-            if row is None:
-                self._changed.wait(timeout_s)
-                row = self._oldest(receiver)
-        return None if row is None else (row[0], json.loads(row[1]))
+            self.newest = message_id
+            self._save()
 
-    def remove(self, number: int) -> None:
+    def wait_for_next(self, receiver: str, timeout_s: float) -> Message | None:
+        """Return a receiver's oldest message; None if there is none."""
+        with self._changed:
+            waiting = self._waiting[receiver]
+            self._changed.wait_for(lambda: waiting, timeout_s)
+            return next(iter(waiting.values()), None)
+
+    def remove(self, receiver: str, message_id: str) -> None:
         """Remove a message that its receiver has taken."""
         with self._changed:
-            self._database.execute("delete from waiting where number = ?", (number,))
-            self._changed.notify_all()
+            self._drop(receiver, message_id)
+            self._save()
 
-    def wait_until_empty(self, timeout_s: float | None = None) -> bool:
-        """Wait until all messages are taken; return whether they are."""
-        with self._changed:
-            return self._changed.wait_for(lambda: len(self) == 0, timeout_s)
+    def _drop(self, receiver: str, message_id: str) -> None:
+        del self._waiting[receiver][message_id]
+        if (receiver, message_id) in self._unsaved:
+            del self._unsaved[receiver, message_id]
+        else:
+            self._unsaved[receiver, message_id] = None
 
-    def _oldest(self, receiver: str) -> tuple[int, str] | None:
-        row: tuple[int, str] | None = self._database.execute(
-            "select number, message from waiting where receiver = ? order by number limit 1",
-            (receiver,),
-        ).fetchone()
-        return row
+    def _load(self, path: Path) -> None:
+        self._database = sqlite3.connect(path, check_same_thread=False)
+        self._database.executescript(_SCHEMA)
+        rows = self._database.execute("select receiver, id, message from waiting order by number")
+        for receiver, message_id, text in rows:
+            message = json.loads(text)
+            if message["camera_id"] == self._camera_id and receiver in self._waiting:
+                self._waiting[receiver][message_id] = message
+        camera = (self._camera_id,)
+        row = self._database.execute("select id from newest where camera = ?", camera).fetchone()
+        self.newest = row and row[0]
+
+    def _save(self) -> None:
+        """Write what is not saved yet, all or nothing."""
+        if self._path is None:
+            return
+        put, taken = [], []
+        for receiver, message_id in self._unsaved:
+            message = self._waiting[receiver].get(message_id)
+            if message is None:
+                taken.append((receiver, message_id))
+            else:
+                put.append((receiver, message_id, json.dumps(message)))
+        newest = (self._camera_id, self.newest)
+        try:
+            with self._database as database:
+                database.executemany("delete from waiting where receiver = ? and id = ?", taken)
+                database.executemany("insert or ignore into waiting values (null, ?, ?, ?)", put)
+                database.execute("insert or replace into newest values (?, ?)", newest)
+        except sqlite3.Error as error:
+            self._trouble.report(
+                f"--queue: {error}: events wait in memory until {self._path} works"
+            )
+        else:
+            self._unsaved.clear()
+            self._trouble.end()
 
 
 def deliver(
-    outbox: Outbox, receiver: str, send: Callable[[Message], None], stopping: threading.Event
+    outbox: Outbox,
+    stopping: threading.Event,
+    receiver: str,
+    send: Callable[[Message], None],
+    meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
     """Send a receiver's messages one after the other, each until it is taken.
 
     Parameters
     ----------
     outbox : Outbox
+    stopping : Event
+        Ends this.
     receiver : str
         Its name in the outbox.
     send : callable
-        Returns once the receiver has the message; raises DeliveryError or RefusalError.
-    stopping : Event
-        Ends this.
+        Returns once the receiver has the message; raises UnavailableError or RefusedError.
+    meanwhile : callable
+        Called several times a second.
     """
-    failures = 0
+    trouble, retry_at = Trouble(f"{receiver} takes events again"), 0.0
     while not stopping.is_set():
-        waiting = outbox.wait_for_next(receiver, timeout_s=0.5)
-        if waiting is None:
+        meanwhile()
+        if time.monotonic() < retry_at:
+            stopping.wait(min(_POLL_S, retry_at - time.monotonic()))
             continue
-        number, message = waiting
+        message = outbox.wait_for_next(receiver, _POLL_S)
+        if message is None:
+            continue
         try:
             send(message)
-        except DeliveryError as error:
-            wait_s = RETRY_AFTER_S[min(failures, len(RETRY_AFTER_S) - 1)]
-            if not failures:
-                say(f"{receiver}: {error}; events wait until it takes them")
-            failures += 1
-            stopping.wait(wait_s)
+        except UnavailableError as error:
+            wait_s = trouble.report(f"{receiver}: {error}; events wait until it takes them")
+            retry_at = time.monotonic() + wait_s
             continue
-        except RefusalError as error:
+        except RefusedError as error:
             say(f"{receiver} refuses an event, which is dropped: {error}")
-        if failures:
-            say(f"{receiver} takes events again")
-        failures = 0
-        outbox.remove(number)
+        trouble.end()
+        outbox.remove(receiver, message["id"])

@@ -2,74 +2,56 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 from typing import Any
-from urllib.parse import quote, urlencode, urlsplit
+from urllib.parse import SplitResult, urlencode
 
 import cv2
 
-from scripts.watch_camera.common import connection_to
+from scripts.watch_camera.common import Connection, RefusedError, UnavailableError
 from scripts.watch_camera.source import Frame
 
-RETRY_AFTER_S = 1.0
 _TIMEOUT_S = 20.0
 
 
-class RefusedError(Exception):
-    """The service refuses a frame; the message says why."""
-
-    def __init__(self, status: int, detail: str, retry_after_s: float) -> None:
-        super().__init__(detail)
-        self.status, self.retry_after_s = status, retry_after_s
-
-
 class Camera:
-    """A camera session of a service."""
+    """A camera session of a service; raises what :class:`Connection` does."""
 
-    def __init__(self, url: str, camera_id: str, api_key: str | None) -> None:
-        parts = urlsplit(url)
+    def __init__(self, address: SplitResult, camera_id: str, api_key: str | None) -> None:
         self.camera_id = camera_id
-        self._connection = connection_to(parts, _TIMEOUT_S)
-        self._path = f"{parts.path.rstrip('/')}/cameras/{quote(camera_id, safe='')}"
+        self._connection = Connection(address, _TIMEOUT_S)
+        self._path = f"{address.path.rstrip('/')}/cameras/{camera_id}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
 
     def track(self, frame: Frame) -> tuple[bool, dict[str, Any]]:
         """Return whether the session is new, and the service's answer."""
         encoded = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
-        headers, body = self._send("POST", f"{self._path}/frames?{query}", encoded)
-        return headers["X-Session"] == "new", json.loads(body)
+        return self._send("POST", f"/frames?{query}", "persons", encoded)
 
     def zones(self) -> list[str]:
         """Return the names of the camera's zones; it has sent a frame."""
-        return [zone["name"] for zone in json.loads(self._send("GET", self._path)[1])["zones"]]
+        return [zone["name"] for zone in self._send("GET", "", "zones")[1]["zones"]]
 
     def events(self) -> list[dict[str, Any]]:
-        """Return the latest events of the camera."""
-        events: list[dict[str, Any]] = json.loads(self._send("GET", f"{self._path}/events")[1])[
-            "events"
-        ]
+        """Return the latest events of the camera, oldest first; none if it is not known."""
+        try:
+            events: list[dict[str, Any]] = self._send("GET", "/events", "events")[1]["events"]
+        except RefusedError as refusal:
+            if refusal.status != 404:
+                raise
+            return []
         return events
 
     def _send(
-        self, method: str, path: str, body: bytes | None = None
-    ) -> tuple[http.client.HTTPMessage, bytes]:
+        self, method: str, path: str, expected: str, body: bytes | None = None
+    ) -> tuple[bool, dict[str, Any]]:
+        """Return whether the session is new, and an answer that has an expected field."""
         headers = self._headers | ({"Content-Type": "image/jpeg"} if body else {})
+        answer, content = self._connection.request(method, self._path + path, body, headers)
         try:
-            self._connection.request(method, path, body, headers)
-            response = self._connection.getresponse()
-            content = response.read()
-        except BaseException:
-            self._connection.close()  # The next request opens another one.
-            raise
-        if response.status < 300:
-            return response.headers, content
-        try:
-            detail = json.loads(content)["detail"]
+            parsed = json.loads(content)
+            parsed[expected]
         except (ValueError, KeyError, TypeError):
-            detail = response.reason
-        after = response.headers.get("Retry-After", "")
-        raise RefusedError(
-            response.status, str(detail), float(after) if after.isdecimal() else RETRY_AFTER_S
-        )
+            raise UnavailableError(f"expected JSON with {expected}, got something else") from None
+        return answer["X-Session"] == "new", parsed

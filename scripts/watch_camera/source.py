@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Iterator
@@ -15,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.video.frames import UnreadableError, Video
-from scripts.watch_camera.common import say
+from scripts.watch_camera.common import Trouble, say
 
 STREAM_TIMEOUT_S = 10.0
-RECONNECT_AFTER_S = (1.0, 2.0, 5.0, 10.0)
+_POLL_S = 0.2
 
 
 class Frame(NamedTuple):
@@ -39,24 +38,24 @@ class Source:
         self._number = 0
         self._ended = False
         self._changed = threading.Condition()
+        self._trouble = Trouble("the source gives frames")
         # Unix time that never goes back, whatever happens to the clock meanwhile.
         self._clock_ahead_s = time.time() - time.monotonic()
         threading.Thread(target=self._read, daemon=True).start()
 
-    def frames(self) -> Iterator[Frame]:
-        """Yield the newest frame whenever there is one; ends with a file, never with a stream."""
-        while True:
+    def frames(self, stopping: threading.Event) -> Iterator[Frame]:
+        """Yield the newest frame whenever there is one, until a file ends or this is stopped."""
+        while not stopping.is_set():
             with self._changed:
-                self._changed.wait_for(lambda: self._newest is not None or self._ended)
+                self._changed.wait_for(lambda: self._newest is not None or self._ended, _POLL_S)
                 frame, self._newest = self._newest, None
-            if frame is None:
-                return
-            yield frame
+                if frame is None and self._ended:
+                    return
+            if frame is not None:
+                yield frame
 
     def _read(self) -> None:
-        attempt = 0
         while True:
-            before = self._number
             try:
                 self._read_once()
             except UnreadableError as error:
@@ -64,12 +63,8 @@ class Source:
                     say(f"expected a whole video, got {error}")
             if self.is_file:
                 break
-            attempt = 0 if self._number > before else attempt + 1
-            wait_s = RECONNECT_AFTER_S[min(attempt, len(RECONNECT_AFTER_S) - 1)]
-            # Without the password.
-            name = re.sub("://.*@", "://", self._source)
-            say(f"{name} gives no frame; trying again in {wait_s:g} s")
-            time.sleep(wait_s)
+            # Its address may hold a password, anywhere.
+            time.sleep(self._trouble.report("the source gives no frame; trying again"))
         with self._changed:
             self._ended = True
             self._changed.notify()
@@ -85,6 +80,7 @@ class Source:
             with self._changed:
                 self._newest = Frame(self._number, self._clock_ahead_s + moment, pixels)
                 self._changed.notify()
+            self._trouble.end()
             self._number += 1
 
     def _pictures(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import http.client
 import json
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult
 
-from scripts.watch_camera.common import connection_to
-from scripts.watch_camera.outbox import DeliveryError, Message, RefusalError
+from scripts.watch_camera.common import Connection, RefusedError, UnavailableError
+from scripts.watch_camera.outbox import Message
 
 _TIMEOUT_S = 10.0
 _REFUSED = (400, 405, 410, 413, 415, 422)
@@ -17,23 +16,19 @@ _REFUSED = (400, 405, 410, 413, 415, 422)
 class Webhook:
     """Posts each event; the header ``Idempotency-Key`` has its id."""
 
-    def __init__(self, url: str) -> None:
-        self._parts = urlsplit(url)
+    def __init__(self, address: SplitResult) -> None:
+        self._connection = Connection(address, _TIMEOUT_S)
+        self._target = (address.path or "/") + (f"?{address.query}" if address.query else "")
 
     def send(self, message: Message) -> None:
         """Post a message; return once it is accepted."""
-        parts = self._parts
-        connection = connection_to(parts, _TIMEOUT_S)
         headers = {"Content-Type": "application/json", "Idempotency-Key": message["id"]}
-        target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
         try:
-            connection.request("POST", target, json.dumps(message), headers)
-            status = connection.getresponse().status
-        except (OSError, http.client.HTTPException) as error:
-            raise DeliveryError(f"no answer ({error})") from error
+            self._connection.request("POST", self._target, json.dumps(message).encode(), headers)
+        except RefusedError as refusal:
+            if refusal.status in _REFUSED:
+                raise
+            raise UnavailableError(str(refusal)) from refusal
         finally:
-            connection.close()
-        if status in _REFUSED:
-            raise RefusalError(f"status {status}")
-        if not 200 <= status < 300:
-            raise DeliveryError(f"status {status}")
+            # The server would end it before the next event.
+            self._connection.close()

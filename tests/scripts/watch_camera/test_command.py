@@ -1,15 +1,19 @@
-"""A camera's client against services and streams that fail."""
+"""The bridge against services and streams that fail, and command lines that cannot be followed."""
 
 from __future__ import annotations
 
+import base64
 import json
+import os
+import signal
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, ClassVar
+from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
@@ -18,119 +22,209 @@ import numpy as np
 import pytest
 
 from app.video.frames import UnreadableError
-from scripts.watch_camera import command
-from scripts.watch_camera import service as service_module
+from scripts.__main__ import main
+from scripts.watch_camera import bridge as bridge_module
+from scripts.watch_camera import common as common_module
 from scripts.watch_camera import source as source_module
-from tests.conftest import WALKERS, Server
-from tests.support.videos import numbered_frames, write_video
+from scripts.watch_camera.command import run
+from scripts.watch_camera.outbox import Outbox
+from tests.conftest import ROOT, WALKERS, Server
+from tests.scripts.watch_camera.servers import Service, Webhook, event, full_disk, serving
+from tests.support.videos import noisy_frames, numbered_frames, write_video
 
-EVENT = {"event": "entered", "state": "instant", "track_id": 3, "timestamp": 1e9, "zones": []}
-ANSWER = {"persons": [], "events": [EVENT], "reset": None, "timings_ms": {"total": 9.0}}
-
-
-class Service(BaseHTTPRequestHandler):
-    """Answers frames with the next of ``statuses``, 200 once there are none left."""
-
-    statuses: ClassVar[list[int]] = []
-    seen: ClassVar[list[tuple[str, str]]] = []
-
-    def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        assert cv2.imdecode(np.frombuffer(body, np.uint8), cv2.IMREAD_COLOR) is not None
-        status = self.statuses.pop(0) if self.statuses else 200
-        if status == 0:
-            self.close_connection = True
-            return
-        self._answer(status, ANSWER if status == 200 else {"detail": f"status {status}"})
-
-    def do_GET(self) -> None:
-        lost = EVENT | {"event": "fell", "timestamp": 9e9}
-        listed = {"events": [EVENT, lost]} if self.path.endswith("/events") else {"zones": []}
-        self._answer(200, listed)
-
-    def _answer(self, status: int, content: object) -> None:
-        self.seen.append((f"{self.command} {status}", self.path))
-        body = b"" if content is None else json.dumps(content).encode()
-        self.send_response(status)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("X-Session", "new" if len(self.seen) == 1 else "warm")
-        self.send_header("Retry-After", "0")
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_: object) -> None:
-        pass
+Capture = pytest.CaptureFixture[str]
 
 
-@pytest.fixture
-def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    monkeypatch.setattr(service_module, "RETRY_AFTER_S", 0.0)
-    Service.statuses, Service.seen = [], []
-    with ThreadingHTTPServer(("127.0.0.1", 0), Service) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://127.0.0.1:{server.server_port}"
-        server.shutdown()
+@pytest.fixture(autouse=True)
+def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bridge_module, "RETRY_AFTER_S", 0.0)
+    monkeypatch.setattr(common_module, "WAITS_S", (0.05,))
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # Those of pytest stay.
 
 
 @pytest.fixture
 def video(tmp_path: Path) -> str:
-    write_video(tmp_path / "yard.avi", numbered_frames(8))
+    write_video(tmp_path / "yard.avi", numbered_frames(8), fps=50)
     return str(tmp_path / "yard.avi")
 
 
-def run(*arguments: str) -> int:
-    return command.main(arguments)
+@pytest.fixture
+def watch(video: str, capsys: Capture) -> Callable[..., tuple[int, list[dict[str, Any]], str]]:
+    """Watch the video with a service; return the status, the events printed, and the log."""
+
+    def _watch(service: Service, *options: str | Path) -> tuple[int, list[dict[str, Any]], str]:
+        with serving(service) as host:
+            url = ("--url", f"http://{host}", "--fps", "1000")
+            ended = run([video, "yard", *url, *map(str, options)])
+        printed = capsys.readouterr()
+        return ended, [json.loads(line) for line in printed.out.splitlines()], printed.err
+
+    return _watch
 
 
-def test_events_are_printed_as_json(
-    service: str, video: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    began = time.time()
-    assert run(video, "yard 2", "--url", f"{service}/prefix") == 0
-    frames = [path for what, path in Service.seen if what == "POST 200"]
-    assert {urlsplit(path).path for path in frames} == {"/prefix/cameras/yard%202/frames"}
+def names(events: list[dict[str, Any]]) -> list[str]:
+    return [event["event"] for event in events]
+
+
+def test_events_are_printed_as_json(watch: Any) -> None:
+    began, service = time.time(), Service("entered")
+    ended, (printed,), log = watch(service)
+    assert ended == 0
+    frames = [path for what, path in service.seen if what == "POST 200"]
+    assert {urlsplit(path).path for path in frames} == {"/cameras/yard/frames"}
     times = [float(parse_qs(urlsplit(path).query)["timestamp"][0]) for path in frames]
     assert times == sorted(set(times))
     assert times[0] == pytest.approx(began, abs=60)
-    printed = capsys.readouterr()
-    (event,) = map(json.loads, printed.out.splitlines())  # The same event in each answer.
-    assert event.items() >= EVENT.items()
-    assert (event["camera_id"], event["time"]) == ("yard 2", "2001-09-09T01:46:40.000+00:00")
-    assert f"the end: {len(frames)} frames" in printed.err
+    assert printed.items() >= event("entered", 1e9).items()
+    assert (printed["camera_id"], printed["time"]) == ("yard", "2001-09-09T01:46:40.000+00:00")
+    assert f"the end: {len(frames)} frames" in log
 
 
-def test_a_service_that_is_busy_restarted_or_ahead_is_asked_again(
-    service: str, video: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("status", [0, 400, 409, 413, 500, 503])
+def test_a_frame_that_is_not_taken_is_skipped(status: int, watch: Any) -> None:
+    service = Service("entered", "fell")
+    service.statuses = [200, status]
+    ended, printed, log = watch(service)
+    assert ended == 0
+    assert names(printed) == ["entered", "fell"]  # The latter is listed if its answer was lost.
+    assert log.count("the service answers again") == 1
+    assert f"status {status}" in log or "the service does not answer" in log
+
+
+@pytest.mark.parametrize(
+    ("statuses", "ended"),
+    [([401], 1), ([200, 401], 1), ([200, 403], 1), ([404], 1), ([422], 1), ([200, 404, 422], 0)],
+)
+def test_only_keys_and_a_refused_set_up_end_it(statuses: list[int], ended: int, watch: Any) -> None:
+    service = Service()
+    service.statuses = list(statuses)
+    status, _, log = watch(service)
+    assert status == ended
+    assert (f"the service refuses: status {statuses[-1]}" in log) == bool(ended)
+
+
+def test_what_the_service_lists_is_not_lost_at_a_stop(watch: Any, tmp_path: Path) -> None:
+    queue, service = ("--queue", tmp_path / "yard.db"), Service()
+    service.listed = [event("lying", 5e8)]  # From before the first start.
+    assert names(watch(service, *queue)[1]) == []
+    service.events = [event("entered", 1e9)]
+    assert names(watch(service, *queue)[1]) == ["entered"]
+    service.listed += [event("fell", 2e9), event("left", 2e9)]  # In flight when it was stopped.
+    printed = watch(service, *queue)[1]
+    assert names(printed) == ["fell", "left"]
+    assert names(watch(service, *queue)[1]) == []
+    # An event always has the same id, and cameras do not share a position.
+    (tmp_path / "yard.db").unlink()
+    Outbox("yard", [], tmp_path / "yard.db").begin_after("")
+    Outbox("hall", [], tmp_path / "yard.db").begin_after(printed[-1]["id"])
+    again = watch(service, *queue)[1]
+    assert [seen["id"] for seen in again][-2:] == [seen["id"] for seen in printed]
+
+
+def test_a_full_disk_loses_no_event(watch: Any, tmp_path: Path) -> None:
+    Outbox("yard", [], tmp_path / "yard.db")
+    webhook = Webhook()
+    with serving(webhook) as host, full_disk():
+        options = ("--queue", tmp_path / "yard.db", "--webhook", f"http://{host}")
+        ended, printed, log = watch(Service("entered", "fell"), *options)
+    assert ended == 0
+    assert printed == webhook.got
+    assert names(printed) == ["entered", "fell"]
+    (line,) = [line for line in log.splitlines() if "--queue" in line]
+    assert "events wait in memory" in line
+
+
+def test_credentials_of_addresses_are_used(watch: Any) -> None:
+    webhook, service = Webhook(), Service("entered")
+    with serving(webhook) as host:
+        watch(service, "--webhook", f"http://me:p%40ss@{host}/hook?x=1", "--api-key", "first")
+    assert webhook.seen == [("POST 204", "/hook?x=1")]
+    encoded = webhook.headers[0]["Authorization"].removeprefix("Basic ")
+    assert base64.b64decode(encoded) == b"me:p@ss"
+    assert {headers["X-API-Key"] for headers in service.headers} == {"first"}
+
+
+@pytest.mark.parametrize(
+    ("option", "expected"),
+    [
+        ("--fps=0", "expected a number above 0, got 0"),
+        ("--fps=fast", "expected a number above 0, got fast"),
+        ("--queue=/nope/x.db", "unable to open database file"),
+        ("--url=127.0.0.1:8000", "expected http://HOST[:PORT] or https://HOST[:PORT]"),
+        ("--url=http://host:abc/", "expected http://HOST[:PORT] or https://HOST[:PORT]"),
+        ("--webhook=user:s3cret@hook", "expected http://HOST[:PORT] or https://HOST[:PORT]"),
+        ("--webhook=http://user:s3cret@host:abc/", "expected http://HOST[:PORT]"),
+        ("--webhook=http://user:s3cret@host/ /", "expected http://HOST[:PORT]"),
+        ("--mqtt=http://user:s3cret@broker", "expected mqtt://HOST[:PORT] or mqtts://HOST[:PORT]"),
+    ],
+)
+def test_what_cannot_be_followed_is_one_sentence(
+    option: str, expected: str, video: str, capsys: Capture
 ) -> None:
-    Service.statuses = [503, 0, 409]
-    assert run(video, "yard", "--url", service, "--fps", "1000") == 0
-    assert [what for what, _ in Service.seen[:3]] == ["POST 503", "POST 409", "POST 200"]
-    printed = capsys.readouterr()
-    assert "status 503; trying again" in printed.err
-    assert "the service does not answer" in printed.err
-    # What happened since the first frame without an answer is asked for.
-    assert Service.seen[3] == ("GET 200", "/cameras/yard/events")
-    assert "fell" in [json.loads(line)["event"] for line in printed.out.splitlines()]
+    assert failure(video, "yard", option, capsys=capsys).count(expected) == 1
 
 
-@pytest.mark.parametrize("option", ["--webhook=ftp://hook", "--mqtt=http://broker"])
-def test_other_receivers_are_refused(option: str, video: str, capsys: Any) -> None:
-    with pytest.raises(SystemExit):
-        run(video, "yard", option)
-    assert "expected" in capsys.readouterr().err
+@pytest.mark.parametrize(
+    ("source", "camera", "expected"),
+    [
+        ("missing.avi", "yard", "expected a file, a number or a URL, got missing.avi"),
+        ("admin:s3cret@host/stream", "yard", "expected a file, a number or a URL, got host/stream"),
+        ("-", "yard", "expected a file, a number or a URL, got nothing"),
+        ("0", "back yard", "expected 1 to 64 of A-Za-z0-9._-, got back yard"),
+    ],
+)
+def test_sources_and_names(source: str, camera: str, expected: str, capsys: Capture) -> None:
+    assert failure(source, camera, capsys=capsys).count(expected) == 1
 
 
-def test_what_does_not_pass_ends_it(
-    service: str, video: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+def failure(*arguments: str, capsys: Capture) -> str:
+    """What the program reports when it cannot do as it is told."""
+    try:
+        status = main(["watch-camera", *arguments])
+    except SystemExit as ended:
+        status = ended.code
+    assert status in (1, 2)
+    printed = capsys.readouterr().err
+    assert "Traceback" not in printed
+    assert "s3cret" not in printed
+    return printed
+
+
+def test_a_hint_names_the_environment_that_is_small(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    Service.statuses = [401]
-    assert run(video, "yard", "--url", service) == 1
-    assert "status 401" in capsys.readouterr().err
+    monkeypatch.delitem(sys.modules, "scripts.watch_camera.command")
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    monkeypatch.delitem(sys.modules, "scripts.watch_camera.source")
+    monkeypatch.delitem(sys.modules, "scripts.watch_camera.service")
+    monkeypatch.delitem(sys.modules, "scripts.watch_camera.bridge")
+    assert main(["watch-camera", "0", "yard"]) == 1
+    assert "`make .venv/.stamp` installs" in capsys.readouterr().err
 
 
-def test_a_missing_file_is_no_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(SystemExit):
-        run("missing.avi", "yard")
+def test_a_stop_is_clean_and_shows_no_password(tmp_path: Path) -> None:
+    # Every third run aborted: a thread came back from the decoder to a Python that was ending.
+    write_video(tmp_path / "long.avi", noisy_frames(200), fps=100)
+    secret = "s3cret"
+    address = f"//admin:{secret}@127.0.0.1:1/{secret}"
+    command = [
+        *(sys.executable, "-m", "scripts", "watch-camera", "-", "yard", "--url", f"http:{address}"),
+        *("--webhook", f"http:{address}", "--mqtt", f"mqtt:{address}", "--api-key", secret),
+    ]
+    for source in [str(tmp_path / "long.avi")] * 4 + [f"rtsp:{address}"]:
+        process = subprocess.Popen(
+            command, cwd=ROOT, env={**os.environ, "WATCH_SOURCE": source},
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert process.stderr is not None
+        expected = "the source gives no frame" if "//" in source[:7] else "does not answer"
+        log = ""
+        while expected not in log:
+            log += process.stderr.readline()
+        process.terminate()
+        log += process.communicate(timeout=20)[1]
+        assert process.returncode == 0, log
+        assert secret not in log
 
 
 class Stream:
@@ -155,29 +249,21 @@ class Stream:
 
 
 def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     silent = threading.Event()
-    monkeypatch.setattr(source_module, "RECONNECT_AFTER_S", (0.0,))
     monkeypatch.setattr(source_module, "Video", Stream([3, 0, 2], silent).open)
-    source = source_module.Source("rtsp://user:secret@camera/1")
+    source = source_module.Source("rtsp://camera")
     assert silent.wait(10)
-    assert next(source.frames()).number == 4
-    said = capsys.readouterr().err
-    assert "rtsp://camera/1 gives no frame" in said and "secret" not in said
+    assert next(source.frames(threading.Event())).number == 4
 
 
-def test_a_real_service_follows_a_file(
-    server: Server,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_real_service_follows_a_file(server: Server, tmp_path: Path, capsys: Capture) -> None:
     frame = np.asarray(cv2.imread(str(WALKERS)), np.uint8)
     write_video(tmp_path / "walkers.avi", [frame] * 12)
     source = str(tmp_path / "walkers.avi")
-    assert run(source, "walkers", "--url", server.url) == 0
+    assert run([source, "walkers", "--url", server.url]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     kept = httpx.get(f"{server.url}/cameras/walkers/events").json()["events"]
-    assert [event["event"] for event in printed] == [event["event"] for event in kept]
-    assert "entered" in {event["event"] for event in printed}
+    assert names(printed) == names(kept)
+    assert "entered" in names(printed)

@@ -10,62 +10,102 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scripts.watch_camera import outbox as module
-from scripts.watch_camera.outbox import DeliveryError, Message, Outbox, RefusalError, deliver
+from scripts.watch_camera import common, outbox
+from scripts.watch_camera.common import RefusedError, UnavailableError
+from scripts.watch_camera.outbox import Message, Outbox, deliver
+from tests.scripts.watch_camera.servers import full_disk
 
 
-def message(number: int) -> Message:
-    return {"id": str(number), "event": "fell"}
+def message(number: int, camera: str = "yard") -> Message:
+    return {"id": str(number), "camera_id": camera, "event": "fell"}
+
+
+def first(waiting: Outbox, receiver: str = "webhook") -> Message | None:
+    return waiting.wait_for_next(receiver, 0.0)
 
 
 @given(
     numbers=st.lists(st.integers(0, 20), max_size=30),
-    failures=st.lists(st.sampled_from([DeliveryError, None, RefusalError]), max_size=30),
+    failures=st.lists(
+        st.sampled_from([UnavailableError("no"), None, RefusedError("no", 422)]), max_size=30
+    ),
 )
 def test_each_message_is_taken_once_and_in_order(
-    numbers: list[int], failures: list[type[Exception] | None]
+    numbers: list[int], failures: list[Exception | None]
 ) -> None:
-    outbox, stopping, taken, refused = Outbox(), threading.Event(), [], set[str]()
+    waiting, stopping = Outbox("yard", ["webhook", "nobody"]), threading.Event()
+    taken, refused = list[str](), set[str]()
     for number in numbers:
-        outbox.put(["webhook", "nobody"], message(number))
+        waiting.put(message(number))
     planned = iter(failures)
 
     def send(sent: Message) -> None:
         failure = next(planned, None)
-        if failure is RefusalError:
+        if isinstance(failure, RefusedError):
             refused.add(sent["id"])
         if failure is not None:
-            raise failure("no")
+            raise failure
         taken.append(sent["id"])
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "RETRY_AFTER_S", (0.0,))
-        thread = threading.Thread(target=deliver, args=(outbox, "webhook", send, stopping))
+        patch.setattr(common, "WAITS_S", (0.0,))
+        thread = threading.Thread(target=deliver, args=(waiting, stopping, "webhook", send))
         thread.start()
         unique = [str(number) for number in dict.fromkeys(numbers)]
-        while outbox.wait_for_next("webhook", 0.0):
+        while first(waiting):
             stopping.wait(0.001)
         stopping.set()
         thread.join()
     assert taken == [name for name in unique if name not in refused]
-    assert len(outbox) == len(unique)  # Those of nobody wait.
+    assert len(waiting) == len(unique)  # Those of nobody wait.
 
 
 def test_a_file_keeps_what_waits(tmp_path: Path) -> None:
+    """For each camera and receiver, even for one that is not there for now."""
+    path, receivers = tmp_path / "queue.db", ["webhook", "mqtt"]
+    yard, hall = Outbox("yard", receivers, path), Outbox("hall", receivers, path)
+    for number in range(3):
+        yard.put(message(number))
+        hall.put(message(10 + number, "hall"))
+    yard.remove("webhook", "0")
+    hall.remove("mqtt", "10")
+    assert len(Outbox("yard", ["webhook"], path)) == 2
+    again = Outbox("yard", receivers, path)
+    assert (first(again), first(again, "mqtt"), again.newest) == (message(1), message(0), "2")
+    again = Outbox("hall", receivers, path)
+    assert (len(again), again.newest) == (5, "12")
+    assert Outbox("attic", receivers, path).newest is None
+
+
+def test_what_a_full_disk_does_not_take_is_written_later(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "queue.db"
-    Outbox(path).put(["webhook"], message(1))
-    number, waiting = Outbox(path).wait_for_next("webhook", 0.0) or (0, {})
-    assert waiting == message(1)
-    Outbox(path).remove(number)
-    assert not len(Outbox(path))
-    assert Outbox(path).wait_until_empty(0.0)
+    waiting = Outbox("yard", ["webhook"], path)
+    for number in range(3):
+        waiting.put(message(number))
+    with full_disk():
+        waiting.remove("webhook", "0")
+        waiting.put(message(3))
+        waiting.put(message(4))
+        waiting.remove("webhook", "1")
+        assert (first(waiting), waiting.is_saved) == (message(2), False)
+    waiting.put(message(5))
+    assert waiting.is_saved
+    again = Outbox("yard", ["webhook"], path)
+    kept = []
+    while (oldest := first(again)) is not None:
+        kept.append(oldest)
+        again.remove("webhook", oldest["id"])
+    assert kept == [message(number) for number in (2, 3, 4, 5)]
+    assert len(capsys.readouterr().err.splitlines()) == 2  # One when it begins, one when it ends.
 
 
 def test_the_oldest_goes_where_too_many_wait(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
-    monkeypatch.setattr(module, "MAX_WAITING", 2)
-    outbox = Outbox()
+    monkeypatch.setattr(outbox, "MAX_WAITING", 2)
+    waiting = Outbox("yard", ["webhook"])
     for number in range(3):
-        outbox.put(["webhook"], message(number))
-    assert len(outbox) == 2
-    assert (outbox.wait_for_next("webhook", 0.0) or (0, {}))[1] == message(1)
+        waiting.put(message(number))
+    assert len(waiting) == 2
+    assert first(waiting) == message(1)
     assert "oldest event is dropped" in capsys.readouterr().err

@@ -1,0 +1,151 @@
+"""Frames of a camera to a service, its events to an outbox, its people to Home Assistant."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+import time
+import uuid
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Any
+
+from scripts.watch_camera.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
+from scripts.watch_camera.home_assistant import HomeAssistant
+from scripts.watch_camera.outbox import Message, Outbox
+from scripts.watch_camera.presence import Presence
+from scripts.watch_camera.service import Camera
+from scripts.watch_camera.source import Frame, Source
+
+STATUS_EVERY_S = 10.0
+_NO_KEY = (401, 403)
+_NO_CAMERA = (404, 405, 422)
+"""Statuses that end it before a frame was answered: the set-up is wrong. Later, it may recover."""
+
+
+class Bridge:
+    """Posts a camera's frames and passes the events on.
+
+    Parameters
+    ----------
+    camera : Camera
+    outbox : Outbox
+    home_assistant : HomeAssistant, optional
+        Shows how many people there are, and which zones are occupied.
+    """
+
+    def __init__(
+        self, camera: Camera, outbox: Outbox, home_assistant: HomeAssistant | None = None
+    ) -> None:
+        self._camera, self._outbox, self._home_assistant = camera, outbox, home_assistant
+        self._presence, self._zones = Presence(), list[str]()
+        self._trouble = Trouble("the service answers again")
+        # Whether the service may list events that were not passed on.
+        self._missed_events = True
+        self.answered = 0
+
+    def watch(self, source: Source, fps: float, stopping: threading.Event) -> None:
+        """Post frames until a file ends or this is stopped.
+
+        Raises
+        ------
+        RefusedError
+            If the service will accept no frame.
+        """
+        status_at = time.monotonic()
+        with contextlib.suppress(UnavailableError, RefusedError):  # The first frame meets the same.
+            self._catch_up()
+        for frame in source.frames(stopping):
+            began = time.monotonic()
+            answer, wait_s = self._track(frame)
+            if answer is not None and began >= status_at:
+                status_at = began + STATUS_EVERY_S
+                say(f"{status(answer)}; {self.answered} of {frame.number + 1} frames")
+                self._read_zones()
+            stopping.wait(max(wait_s, began + 1 / fps - time.monotonic()))
+        say(f"the end: {self.answered} frames were answered")
+
+    def _track(self, frame: Frame) -> tuple[dict[str, Any] | None, float]:
+        """Post a frame and pass its events on.
+
+        Return the answer, None if the service does not take the frame, and the seconds to wait.
+        """
+        try:
+            if self._missed_events:
+                self._catch_up()
+            self._missed_events = True
+            is_new, answer = self._camera.track(frame)
+        except UnavailableError as error:
+            self._trouble.report(f"the service does not answer: {error}")
+            return None, RETRY_AFTER_S
+        except RefusedError as refusal:
+            if refusal.status in _NO_KEY or (not self.answered and refusal.status in _NO_CAMERA):
+                raise
+            self._trouble.report(f"the service does not take a frame: {refusal}")
+            return None, refusal.retry_after_s
+        self._missed_events = False
+        self._trouble.end()
+        self._hand_on(is_new, answer)
+        return answer, 0.0
+
+    def _catch_up(self) -> None:
+        """Pass on the events that the service lists after the newest that was passed on."""
+        messages = [self._message(event) for event in self._camera.events()]
+        ids = [message["id"] for message in messages]
+        newest = self._outbox.newest
+        if newest is None:
+            # What happened before the first start is not reported.
+            self._outbox.begin_after(ids[-1] if ids else "")
+        else:
+            for message in messages[ids.index(newest) + 1 if newest in ids else 0 :]:
+                self._pass_on(message)
+        self._missed_events = False
+
+    def _hand_on(self, is_new: bool, answer: Mapping[str, Any]) -> None:
+        if is_new and self.answered:
+            say("the service had forgotten this camera: people are numbered anew")
+        if answer["reset"]:
+            say(f"people are followed anew: {answer['reset']}")
+        for event in answer["events"]:
+            self._pass_on(self._message(event))
+        if is_new or not self.answered:
+            self._presence.begin(answer["persons"])
+        self.answered += 1
+        self._show()
+
+    def _pass_on(self, message: Message) -> None:
+        try:
+            print(json.dumps(message), flush=True)
+        except OSError as error:  # A file on a full disk, or a pipe that nobody reads.
+            say(f"an event was not printed: {error}")
+        self._outbox.put(message)
+        self._presence.update(message)
+
+    def _message(self, event: Mapping[str, Any]) -> Message:
+        """An event with the camera, the time of day, and an id that is always the same."""
+        camera_id = self._camera.camera_id
+        moment = datetime.fromtimestamp(event["timestamp"], UTC).isoformat(timespec="milliseconds")
+        event_id = uuid.uuid5(uuid.NAMESPACE_OID, json.dumps([camera_id, event], sort_keys=True))
+        return {"id": str(event_id), "camera_id": camera_id, "time": moment, **event}
+
+    def _read_zones(self) -> None:
+        try:
+            self._zones = self._camera.zones()
+        except (UnavailableError, RefusedError):
+            return  # The next frame meets the same.
+        self._show()
+
+    def _show(self) -> None:
+        if self._home_assistant is not None:
+            occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
+            self._home_assistant.show(self._presence.people, occupied)
+
+
+def status(answer: Mapping[str, Any]) -> str:
+    """Return the people of an answer, and how long the service took."""
+    people = ", ".join(
+        f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
+        for person in answer["persons"]
+    )
+    return f"{people or 'no people'}; {answer['timings_ms']['total']:.0f} ms"

@@ -1,0 +1,185 @@
+"""What a real broker and Home Assistant are sent."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+import pytest
+
+from scripts.watch_camera import common as common_module
+from scripts.watch_camera import home_assistant as module
+from scripts.watch_camera.home_assistant import HomeAssistant
+from scripts.watch_camera.outbox import Message, Outbox, deliver
+from tests.conftest import ROOT
+from tests.support.broker import MOSQUITTO, Broker, Subscriber
+from tests.support.programs import output_of
+from tests.support.service import eventually
+
+pytestmark = pytest.mark.skipif(not MOSQUITTO, reason="needs mosquitto: apt-get install mosquitto")
+
+BASE = "silhouette-pose/ward.1"
+
+
+class Ward(NamedTuple):
+    broker: Broker
+    home: HomeAssistant
+    outbox: Outbox
+    subscriber: Subscriber
+
+    def shows(self, **topics: str) -> Callable[[], bool]:
+        """Whether the broker has these payloads."""
+        wanted = {f"{BASE}/{name}": payload for name, payload in topics.items()}
+        return lambda: wanted.items() <= self.subscriber.latest.items()
+
+    @property
+    def fell(self) -> dict[str, object]:
+        return json.loads(self.subscriber.latest.get(f"{BASE}/fell", "{}"))
+
+
+@pytest.fixture
+def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
+    """A camera, its broker and somebody who listens."""
+    monkeypatch.setattr(common_module, "WAITS_S", (0.1,))
+    monkeypatch.setattr(module, "_RETRY_AFTER_S", 0.1)
+    broker = Broker(tmp_path)
+    home = HomeAssistant(urlsplit(broker.address), "ward.1")
+    outbox, stopping = Outbox("ward.1", ["mqtt"]), threading.Event()
+    work = (outbox, stopping, "mqtt", home.send, home.keep)
+    thread = threading.Thread(target=deliver, args=work)
+    thread.start()
+    subscriber = Subscriber(broker.port)
+    yield Ward(broker, home, outbox, subscriber)
+    stopping.set()
+    thread.join()
+    subscriber.close()
+    broker.stop()
+
+
+def message(number: int, name: str = "fell") -> Message:
+    time = "2026-01-01T12:00:00.000+00:00"
+    return {"id": str(number), "event": name, "track_id": 3, "camera_id": "ward.1", "time": time}
+
+
+def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture[str]) -> None:
+    ward.broker.refuse(f"{BASE}/events", f"{BASE}/people")
+    eventually(lambda: ward.fell)
+    log = ""
+
+    def refused() -> bool:
+        nonlocal log
+        log += capsys.readouterr().err
+        return all(
+            f"refuses {BASE}/{topic}: Not authorized" in log for topic in ("events", "people")
+        )
+
+    ward.outbox.put(message(1, "entered"))
+    ward.home.show(2, {})
+    eventually(refused)
+    assert len(ward.outbox) == 1
+    ward.broker.refuse()
+    eventually(lambda: not len(ward.outbox))
+    eventually(ward.shows(people="2"))
+    assert ward.subscriber.events == [message(1, "entered")]
+    assert (log + capsys.readouterr().err).count("refuses") == 2
+
+
+def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "BLIND_AFTER_S", 0.5)
+    eventually(ward.shows(available="offline"))
+    ward.home.show(1, {"bed": True, "floor": False})
+    eventually(ward.shows(available="online", people="1", **{"zones/bed": "ON"}))
+    eventually(ward.shows(available="offline", people="None", **{"zones/bed": "None"}))
+    ward.home.show(0, {"floor": True})
+    eventually(ward.shows(available="online", people="0", **{"zones/floor": "ON"}))
+    # The zone that is gone is no longer announced.
+    discovered = {
+        topic for topic, payload in ward.subscriber.latest.items() if "/config" in topic and payload
+    }
+    assert {topic.split("/")[-2] for topic in discovered} == {"fell", "people", "zones_floor"}
+    ward.home.hide()
+    eventually(ward.shows(available="offline", people="None", **{"zones/floor": "None"}))
+
+
+def test_a_fall_is_shown_for_a_while_with_its_time(
+    ward: Ward, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "FELL_SHOWN_S", 1)
+    eventually(lambda: ward.fell == {"state": "OFF"})
+    ward.outbox.put(message(1))
+    eventually(lambda: ward.fell == {"state": "ON", **message(1)})
+    ward.broker.stop()
+    ward.outbox.put(message(2))
+    ward.broker.start()
+    eventually(lambda: ward.fell == {"state": "ON", **message(2)})
+    eventually(lambda: ward.fell == {"state": "OFF", **message(2)})
+
+
+HANGS = """
+import sys, time, urllib.parse
+from scripts.watch_camera.home_assistant import HomeAssistant
+home = HomeAssistant(urllib.parse.urlsplit(sys.argv[1]), "ward.1")
+while True:
+    home.keep()
+    time.sleep(0.1)
+"""
+
+
+def test_the_end_of_a_bridge_that_hung_does_not_turn_its_successor_off(ward: Ward) -> None:
+    hung = subprocess.Popen([sys.executable, "-c", HANGS, ward.broker.address], cwd=ROOT)
+    ward.home.show(1, {})
+    eventually(ward.shows(available="online"))
+    eventually(ward.shows(available="offline"))
+    hung.send_signal(signal.SIGSTOP)
+    eventually(ward.shows(available="online"))
+    hung.kill()
+    hung.wait()
+    time.sleep(0.5)
+    assert ward.shows(available="online")()
+
+
+ACCEPT = """
+import asyncio, json, sys
+from homeassistant import core
+from homeassistant.components.mqtt import binary_sensor, sensor
+
+async def read(topics):
+    hass = core.HomeAssistant(sys.argv[2])
+    states = {}
+    for topic in topics:
+        if topic.endswith("/config"):
+            platform = {"binary_sensor": binary_sensor, "sensor": sensor}[topic.split("/")[1]]
+            config = platform.DISCOVERY_SCHEMA(json.loads(topics[topic]))
+            state, template = topics[config["state_topic"]], config.get("value_template")
+            if template is not None:
+                template.hass = hass
+                state = template.async_render_with_possible_json_value(state, None)
+            states[config["name"]] = state
+            assert topics[config["availability_topic"]] in ("online", "offline")
+    print(json.dumps(states))
+
+asyncio.run(read(json.loads(sys.argv[1])))
+"""
+
+
+def test_home_assistant_reads_what_is_published(ward: Ward, tmp_path: Path) -> None:
+    """By its own schemas and templates."""
+    python = os.environ.get("HOME_ASSISTANT")
+    if not python:
+        pytest.skip("needs HOME_ASSISTANT, a Python with `pip install homeassistant` (400 MB)")
+    ward.home.show(1, {"bed": True, "the floor": False})
+    ward.outbox.put(message(1))
+    eventually(ward.shows(people="1"))
+    eventually(lambda: ward.fell.get("state") == "ON")
+    topics = json.dumps(ward.subscriber.latest)
+    states = json.loads(output_of(python, "-c", ACCEPT, topics, str(tmp_path)))
+    assert states == {"fell": "ON", "people": "1", "bed": "ON", "the floor": "OFF"}
