@@ -19,7 +19,10 @@ COMMANDS = {
         "scripts.training.train_photograph_models",
         "train depth, posture and trust on rendered people",
     ),
-    "fit-people": ("scripts.training.fit_people", "fit detection, posture and confidence"),
+    "fit-people": (
+        "scripts.training.fit_people",
+        "fit detection scores and confidence to photographs",
+    ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),

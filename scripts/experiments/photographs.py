@@ -41,7 +41,7 @@ from scripts.datasets import (
     read_pose2sim,
 )
 from scripts.metrics import percent
-from scripts.training.train_photograph_models import LANDMARK_LIMBS, RIGHT_SHARE, RIGHT_WITHIN
+from scripts.training.photograph_data import LIMBS, RIGHT_SHARE, RIGHT_WITHIN
 
 SURE, CLEAR = 0.8, 0.5
 """Probabilities from which a posture is counted as sure, and as clear."""
@@ -209,11 +209,11 @@ def depth_errors(
     own_depths = Depths(network_depths(reading.raw.world[None])[0], np.ones(33))
     plain = body_of(reading, camera, own_depths)
     found = (reading.landmarks.metres, plain.points, body.points)
-    apart = [about_hips(points[LANDMARK_LIMBS]) - about_hips(truth) for points in found]
+    apart = [about_hips(points[LIMBS]) - about_hips(truth) for points in found]
     return [
         *(float(np.linalg.norm(one, axis=1).mean()) for one in apart),
         float(np.abs(apart[2] @ body.sight[2]).mean()),
-        float(body.sigmas[LANDMARK_LIMBS].mean()),
+        float(body.sigmas[LIMBS].mean()),
     ]
 
 
@@ -273,7 +273,7 @@ def landmarks_are_right(reading: PoseReading, shown: Shown) -> bool | None:
         return None
     trunk = float(np.linalg.norm(shown.joints_2d[:2].mean(axis=0) - middle))
     size = max(trunk, 0.2 * float(np.ptp(shown.joints_2d, axis=0).max()))
-    apart = np.linalg.norm(reading.landmarks.positions[LANDMARK_LIMBS] - shown.joints_2d, axis=1)
+    apart = np.linalg.norm(reading.landmarks.positions[LIMBS] - shown.joints_2d, axis=1)
     return bool((apart[shown.visible] < RIGHT_WITHIN * size).mean() >= RIGHT_SHARE)
 
 

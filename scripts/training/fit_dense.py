@@ -89,14 +89,15 @@ def fit_dense(
     )
 
 
-def scaled_outputs(network: DenseNetwork, factors: NDArray[np.float64]) -> DenseNetwork:
-    """The same network, its outputs multiplied by factors ``(O,)``."""
+def with_outputs(
+    network: DenseNetwork, factors: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> DenseNetwork:
+    """The same network, its outputs multiplied by factors ``(O,)``, then offsets added."""
     *weights, weight = network.weights
     *biases, bias = network.biases
     by = factors.astype(np.float32)
-    return DenseNetwork(
-        network.means, network.scales, (*weights, weight * by), (*biases, bias * by)
-    )
+    moved = (bias * by + offsets).astype(np.float32)
+    return DenseNetwork(network.means, network.scales, (*weights, weight * by), (*biases, moved))
 
 
 def averaged(networks: Sequence[DenseNetwork]) -> DenseNetwork:
@@ -117,10 +118,3 @@ def averaged(networks: Sequence[DenseNetwork]) -> DenseNetwork:
             np.mean([network.biases[1] for network in networks], axis=0, dtype=np.float32),
         ),
     )
-
-
-def moved_outputs(network: DenseNetwork, offsets: NDArray[np.float64]) -> DenseNetwork:
-    """The same network, offsets ``(O,)`` added to its outputs."""
-    *biases, bias = network.biases
-    moved = (bias + offsets).astype(np.float32)
-    return DenseNetwork(network.means, network.scales, network.weights, (*biases, moved))

@@ -2,12 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+
+from app.vision.blazepose import LANDMARKS
+from app.vision.depth import HIPS
+from app.vision.optics import ASSUMED_FOV_DEG, roll_rotation, to_line_of_sight
+from app.vision.people import landmark_rows
+
+LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+"""Rows of the limb joints among the landmarks."""
+
+RIGHT_WITHIN, RIGHT_SHARE = 0.2, 0.75
+"""A landmark is right within this share of the trunk; a reading is with this share of limb joints.
+"""
+
+SEEN_FROM = 0.3
+"""The network's presence from which a window teaches depth and posture."""
+
+MIN_SHOWN = 6
+"""Landmarks shown, of 33, below which nobody can say whether a window shows a person."""
 
 
 @dataclass(frozen=True)
@@ -22,12 +41,10 @@ class WindowRows:
         As :class:`app.vision.blazepose.NetworkPass` has them, ``N`` of each.
     sampled : (N, 33, 144) float16 array
         The middle map at the landmarks.
-    window, next_window : (N, 4) float64 array
-        x, y, side, roll in degrees; next: where the network would look.
+    window : (N, 4) float64 array
+        x, y, side, roll in degrees.
     focal, centre, frame_px : (N, 2) float64 array
         As :class:`scripts.training.render.scene.Photograph` has them.
-    box : (N, 4) float64 array
-        About the visible part of the subject.
     posture : (N,) int64 array
         Class, or -1 where nobody is.
     landmarks : (N, 33, 3) float32 array
@@ -35,8 +52,6 @@ class WindowRows:
     places : (N, 33, 2) float32 array
         Pixels.
     shown : (N, 33) bool array
-    up : (N, 3) float32 array
-    covered : (N,) float64 array
     """
 
     scene: NDArray[np.int64]
@@ -46,52 +61,108 @@ class WindowRows:
     last: NDArray[np.float16]
     sampled: NDArray[np.float16]
     window: NDArray[np.float64]
-    next_window: NDArray[np.float64]
     focal: NDArray[np.float64]
     centre: NDArray[np.float64]
     frame_px: NDArray[np.float64]
-    box: NDArray[np.float64]
     posture: NDArray[np.int64]
     landmarks: NDArray[np.float32]
     places: NDArray[np.float32]
     shown: NDArray[np.bool_]
-    up: NDArray[np.float32]
-    covered: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.scene)
 
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> WindowRows:
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate rows."""
+        names = [one.name for one in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
         """Some of the rows."""
-        return WindowRows(*(getattr(self, part.name)[rows] for part in fields(self)))
+        return type(self)(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def save(self, file: Path) -> None:
         """Write them as an ``.npz``."""
         np.savez(file, **{part.name: getattr(self, part.name) for part in fields(self)})
 
 
-def joined(parts: list[WindowRows]) -> WindowRows:
-    """Concatenate rows."""
-    return WindowRows(
-        *(np.concatenate([getattr(part, one.name) for part in parts]) for one in fields(WindowRows))
-    )
-
-
-def read_rows(folder: Path) -> WindowRows:
-    """Read all rows that ``render-people`` wrote into a folder.
+def read_rows(folders: Sequence[Path]) -> WindowRows:
+    """Read all rows that ``render-people`` wrote into folders.
 
     Raises
     ------
     FileNotFoundError
-        If the folder holds none.
+        If a folder holds none.
     """
-    files = sorted(Path(folder).glob("windows-*.npz"))
-    if not files:
-        raise FileNotFoundError(f"expected windows-*.npz in {folder}, found none")
-    return joined(list(_read(files)))
+    parts = []
+    for folder in folders:
+        files = sorted(folder.glob("windows-*.npz"))
+        if not files:
+            raise FileNotFoundError(f"expected windows-*.npz in {folder}, found none")
+        for file in files:
+            with np.load(file) as stored:
+                parts.append(WindowRows(*(stored[part.name] for part in fields(WindowRows))))
+    return WindowRows.joined(parts)
 
 
-def _read(files: list[Path]) -> Iterator[WindowRows]:
-    for file in files:
-        with np.load(file) as stored:
-            yield WindowRows(*(stored[part.name] for part in fields(WindowRows)))
+@dataclass(frozen=True)
+class TrainingRows(WindowRows):
+    """Rows and the focal lengths with which models read them ``(N, 2)``.
+
+    Half of the cameras are known; the others are taken for the assumed one.
+    """
+
+    read_focal: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rows: WindowRows, seed: int) -> TrainingRows:
+        """Choose by seed which cameras are known."""
+        longest = rows.frame_px.max(axis=1)
+        assumed = longest / 2 / np.tan(np.deg2rad(ASSUMED_FOV_DEG) / 2)
+        known = np.random.default_rng(seed).random(len(rows)) < 0.5
+        read_focal = np.where(known[:, None], rows.focal, assumed[:, None])
+        return cls(**vars(rows), read_focal=read_focal)
+
+    @property
+    def person(self) -> NDArray[np.bool_]:
+        """Whether each window shows a person."""
+        return self.posture >= 0
+
+    @property
+    def teaches(self) -> NDArray[np.bool_]:
+        """Whether each window teaches depth and posture."""
+        return self.person & (self.presence > SEEN_FROM)
+
+    @property
+    def decided(self) -> NDArray[np.bool_]:
+        """Whether each window shows nobody, or enough of a person to be sure."""
+        return np.asarray(~self.person | (self.shown.sum(axis=1) >= MIN_SHOWN))
+
+    @property
+    def found_places(self) -> NDArray[np.float64]:
+        """Where the network saw the landmarks: ``(N, 33, 2)`` pixels of the frame."""
+        offsets = (self.points[:, :LANDMARKS, :2].astype(np.float64) - 128.0) / 256.0
+        turn = roll_rotation(self.window[:, 3])[:, :2, :2]
+        turned = np.einsum("nji,npj->npi", turn, offsets)
+        return np.asarray(turned * self.window[:, None, 2:3] + self.window[:, None, :2])
+
+    @property
+    def right(self) -> NDArray[np.bool_]:
+        """Whether each window shows a person of whom enough shown limb joints are right."""
+        apart = np.linalg.norm(self.found_places - self.places, axis=2)[:, LIMBS]
+        shoulders, hips = (self.places[:, rows].mean(axis=1) for rows in ([11, 12], [23, 24]))
+        trunk = np.linalg.norm(shoulders - hips, axis=1)
+        size = np.maximum(trunk, 0.2 * np.ptp(self.places, axis=1).max(axis=1))
+        shown = self.shown[:, LIMBS]
+        right = (apart < RIGHT_WITHIN * size[:, None]) & shown
+        share = right.sum(axis=1) / np.maximum(shown.sum(axis=1), 1)
+        return np.asarray(self.person & (share >= RIGHT_SHARE))
+
+    @property
+    def depths(self) -> NDArray[np.float64]:
+        """True depths ``(N, 33)`` along the true line of sight, about the middle of the hips."""
+        level = (self.window[:, :2] - self.centre) / self.focal
+        rays = np.concatenate([level, np.ones((len(self), 1))], axis=1)
+        depths = np.einsum("nj,npj->np", to_line_of_sight(rays)[:, 2], self.landmarks)
+        return np.asarray(depths - depths[:, HIPS].mean(axis=1, keepdims=True), np.float64)

@@ -1,7 +1,4 @@
-"""Render people as photographs and let the landmark network read them.
-
-    python -m scripts render-people --out FOLDER --seed 1
-    python -m scripts render-people --out OTHER --count 2000 --seed 7 --held-out
+"""Render people as photographs and let the landmark network read them: see ``docs/training.md``.
 
 Writes ``windows-NNNN.npz``, 500 photographs each, with the truth about them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
@@ -27,10 +24,10 @@ from app.vision.geometry import Box, PersonWindow, crop_and_resize
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
 from app.vision.movenet import keypoint_window
-from scripts.training.photograph_data import WindowRows, joined
+from scripts.results import SHARED
+from scripts.training.photograph_data import WindowRows
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 
-ROOT = Path(__file__).resolve().parent.parent.parent
 PER_FILE = 500
 PEOPLE, HELD_OUT_PEOPLE = 60, 16
 """Bodies in the training and in the held-out part."""
@@ -38,8 +35,6 @@ PEOPLE, HELD_OUT_PEOPLE = 60, 16
 EMPTY_SHARE = 1 / 7
 BARE_SHARE = 0.5
 """Share of the pictures without people whose window lies anywhere, not about the thing in it."""
-
-_SHOULDERS, _HIPS = (11, 12), (23, 24)
 
 
 def first_window(photograph: Photograph, generator: np.random.Generator) -> PersonWindow:
@@ -55,9 +50,7 @@ def first_window(photograph: Photograph, generator: np.random.Generator) -> Pers
         quarter = generator.choice([0.0, 0.0, 0.0, 90.0, -90.0, generator.uniform(-180, 180)])
         roll, size = float(quarter), 1.3
     else:
-        shoulders, hips = (
-            photograph.places[list(rows)].mean(axis=0) for rows in (_SHOULDERS, _HIPS)
-        )
+        shoulders, hips = (photograph.places[rows].mean(axis=0) for rows in ([11, 12], [23, 24]))
         right, down = shoulders - hips
         scatter = 8 if generator.random() < 0.9 else 30
         roll = float(np.rad2deg(np.arctan2(right, -down)) + generator.normal(0, scatter))
@@ -75,7 +68,7 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
     """The training data of one reading, as a single row."""
     given = reading.network_pass
     assert given is not None
-    window, following = reading.window, reading.next_window
+    window = reading.window
     return WindowRows(
         np.array([number]),
         given.points[None],
@@ -84,17 +77,13 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
         given.last[None].astype(np.float16),
         given.sampled[None].astype(np.float16),
         np.array([[window.x, window.y, window.side, window.roll_deg]]),
-        np.array([[following.x, following.y, following.side, following.roll_deg]]),
         photograph.focal[None],
         photograph.centre[None],
         photograph.frame_px[None],
-        photograph.box[None],
         np.array([photograph.posture]),
         photograph.landmarks[None].astype(np.float32),
         photograph.places[None].astype(np.float32),
         photograph.shown[None],
-        photograph.up[None].astype(np.float32),
-        np.array([photograph.covered]),
     )
 
 
@@ -138,16 +127,15 @@ def write_pictures(studio: Studio, seed: int, count: int, folder: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--out", type=Path, help="folder to write to")
-    parser.add_argument("--count", type=int, default=10_000, help="photographs")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
-    parser.add_argument("--pictures", type=Path, help="write pictures into this folder")
-    parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    add = parser.add_argument
+    add("--shared", type=Path, default=SHARED)
+    add("--out", type=Path, help="folder to write to")
+    add("--count", type=int, default=10_000, help="photographs")
+    add("--seed", type=int, default=1)
+    add("--held-out", action="store_true", help="held-out clips and garments")
+    add("--pictures", type=Path, help="write pictures into this folder")
+    add("--sheet", type=Path, help="draw pictures to look at into this file")
     options = parser.parse_args(arguments)
     if options.out is None and options.sheet is None and options.pictures is None:
         parser.error("expected --out, --pictures or --sheet")
@@ -180,9 +168,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 rows.append(row_of(number, photograph, reading))
                 window = reading.next_window
         partial = file.with_suffix(".part.npz")
-        joined(rows).save(partial)
+        WindowRows.joined(rows).save(partial)
         partial.rename(file)
-
-
-if __name__ == "__main__":
-    main()

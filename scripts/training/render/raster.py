@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 NOTHING = -1
 """Triangle of a pixel that shows the room."""
 
+Floats: TypeAlias = NDArray[np.float32]
+Ints: TypeAlias = NDArray[np.int32]
 Vector: TypeAlias = tuple[float, float, float]
 
 
 @njit(nogil=True, cache=True)
-def vertex_normals(
-    vertices: NDArray[np.float32], triangles: NDArray[np.int32]
-) -> NDArray[np.float32]:  # pragma: no cover - compiled
+def vertex_normals(vertices: Floats, triangles: Ints) -> Floats:
     """Unit normals ``(V, 3)``: the mean of the triangles about each vertex, by their area."""
     normals = np.zeros_like(vertices)
     for t in range(len(triangles)):
@@ -40,14 +40,14 @@ def vertex_normals(
 
 @njit(nogil=True, cache=True)
 def rasterise(
-    plane: NDArray[np.float32],
-    depths: NDArray[np.float32],
-    triangles: NDArray[np.int32],
+    plane: Floats,
+    depths: Floats,
+    triangles: Ints,
     min_depth: float,
-    nearness: NDArray[np.float32],
-    shown: NDArray[np.int32],
-    shares: NDArray[np.float32],
-) -> None:  # pragma: no cover - compiled
+    nearness: Floats,
+    shown: Ints,
+    shares: Floats,
+) -> None:
     """Find which triangle each pixel shows.
 
     Parameters
@@ -99,9 +99,7 @@ def rasterise(
 
 
 @njit(nogil=True, cache=True)
-def shadow_map(
-    points: NDArray[np.float32], triangles: NDArray[np.int32], heights: NDArray[np.float32]
-) -> None:  # pragma: no cover - compiled
+def shadow_map(points: Floats, triangles: Ints, heights: Floats) -> None:
     """Raise a map ``(S, S)`` to the triangles nearest to the light.
 
     ``points`` ``(V, 3)``: column and row of the map, and metres towards the light.
@@ -130,7 +128,7 @@ def shadow_map(
 
 
 @njit(nogil=True, cache=True)
-def _hash(x: float, y: float, z: float) -> float:  # pragma: no cover - compiled
+def _hash(x: float, y: float, z: float) -> float:
     """A number from 0 to 1 for each cell of space."""
     i, j, k = int(np.floor(x)), int(np.floor(y)), int(np.floor(z))
     mixed = (i * 73856093) ^ (j * 19349663) ^ (k * 83492791)
@@ -139,7 +137,7 @@ def _hash(x: float, y: float, z: float) -> float:  # pragma: no cover - compiled
 
 
 @njit(nogil=True, cache=True)
-def _smooth(x: float, y: float, z: float) -> float:  # pragma: no cover - compiled
+def _smooth(x: float, y: float, z: float) -> float:
     """Value noise from 0 to 1."""
     fx, fy, fz = x - np.floor(x), y - np.floor(y), z - np.floor(z)
     fx, fy, fz = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy), fz * fz * (3 - 2 * fz)
@@ -153,9 +151,7 @@ def _smooth(x: float, y: float, z: float) -> float:  # pragma: no cover - compil
 
 
 @njit(nogil=True, cache=True)
-def _pattern(
-    kind: int, f: float, phase: float, duty: float, x: float, y: float, z: float
-) -> float:  # pragma: no cover - compiled
+def _pattern(kind: int, f: float, phase: float, duty: float, x: float, y: float, z: float) -> float:
     """Share of the other colour at a place of a material."""
     if kind == 1:
         return 1.0 if (y * f + phase) % 1.0 < duty else 0.0
@@ -192,11 +188,11 @@ def _lit(
     wz: float,
     x: int,
     y: int,
-    to_light: NDArray[np.float32],
-    heights: NDArray[np.float32],
+    to_light: Floats,
+    heights: Floats,
     softness: float,
     bias: float,
-) -> float:  # pragma: no cover - compiled
+) -> float:
     """Share of the light that reaches a place: four probes of the shadow map."""
     u = to_light[0, 0] * wx + to_light[0, 1] * wy + to_light[0, 2] * wz + to_light[0, 3]
     v = to_light[1, 0] * wx + to_light[1, 1] * wy + to_light[1, 2] * wz + to_light[1, 3]
@@ -219,11 +215,11 @@ def _direct_light(
     place: Vector,
     x: int,
     y: int,
-    light: NDArray[np.float32],
-    to_light: NDArray[np.float32],
-    heights: NDArray[np.float32],
+    light: Floats,
+    to_light: Floats,
+    heights: Floats,
     bias: float,
-) -> float:  # pragma: no cover - compiled
+) -> float:
     """Share of the first light that a surface sends back, with shadows."""
     facing = normal[0] * light[0] + normal[1] * light[1] + normal[2] * light[2]
     if facing <= 0:
@@ -233,18 +229,14 @@ def _direct_light(
 
 
 @njit(nogil=True, cache=True)
-def _second_light(
-    normal: Vector, light: NDArray[np.float32]
-) -> float:  # pragma: no cover - compiled
+def _second_light(normal: Vector, light: Floats) -> float:
     """Share of the second light that a surface sends back; it casts no shadows."""
     facing = normal[0] * light[3] + normal[1] * light[4] + normal[2] * light[5]
     return float(max(0.0, facing) * light[12])
 
 
 @njit(nogil=True, cache=True)
-def _gleam(
-    normal: Vector, view: Vector, light: NDArray[np.float32]
-) -> float:  # pragma: no cover - compiled
+def _gleam(normal: Vector, view: Vector, light: Floats) -> float:
     """Blinn-Phong highlight of the first light."""
     hx, hy, hz = light[0] + view[0], light[1] + view[1], light[2] + view[2]
     half = np.sqrt(hx * hx + hy * hy + hz * hz) + 1e-9
@@ -252,15 +244,13 @@ def _gleam(
 
 
 @njit(nogil=True, cache=True)
-def _unit(x: float, y: float, z: float) -> Vector:  # pragma: no cover - compiled
+def _unit(x: float, y: float, z: float) -> Vector:
     length = np.sqrt(x * x + y * y + z * z) + 1e-9
     return x / length, y / length, z / length
 
 
 @njit(nogil=True, cache=True)
-def _interpolated(
-    values: NDArray[np.float32], corners: NDArray[np.int32], weights: Vector
-) -> Vector:  # pragma: no cover - compiled
+def _interpolated(values: Floats, corners: Ints, weights: Vector) -> Vector:
     """Value at a place of a triangle, from those at its corners."""
     a, b, c = corners[0], corners[1], corners[2]
     first, second, third = weights
@@ -272,7 +262,7 @@ def _interpolated(
 
 
 @njit(nogil=True, cache=True)
-def _nearest_corner(weights: Vector) -> int:  # pragma: no cover - compiled
+def _nearest_corner(weights: Vector) -> int:
     first, second, third = weights
     if second > first and second >= third:
         return 1
@@ -280,9 +270,7 @@ def _nearest_corner(weights: Vector) -> int:  # pragma: no cover - compiled
 
 
 @njit(nogil=True, cache=True)
-def _wrinkled(
-    normal: Vector, texture: Vector, depth: float, wrinkles: NDArray[np.float32]
-) -> Vector:  # pragma: no cover - compiled
+def _wrinkled(normal: Vector, texture: Vector, depth: float, wrinkles: Floats) -> Vector:
     """Turn a normal by the waves of cloth; the result has any length."""
     nx, ny, nz = normal
     for k in range(len(wrinkles)):
@@ -297,22 +285,22 @@ def _wrinkled(
 
 @njit(nogil=True, cache=True)
 def shade(
-    nearness: NDArray[np.float32],
-    shown: NDArray[np.int32],
-    shares: NDArray[np.float32],
-    triangles: NDArray[np.int32],
-    vertices: NDArray[np.float32],
-    normals: NDArray[np.float32],
-    textured: NDArray[np.float32],
-    material_of: NDArray[np.int32],
-    materials: NDArray[np.float32],
-    wrinkles: NDArray[np.float32],
-    camera: NDArray[np.float32],
-    light: NDArray[np.float32],
-    to_light: NDArray[np.float32],
-    heights: NDArray[np.float32],
-    picture: NDArray[np.float32],
-) -> None:  # pragma: no cover - compiled
+    nearness: Floats,
+    shown: Ints,
+    shares: Floats,
+    triangles: Ints,
+    vertices: Floats,
+    normals: Floats,
+    textured: Floats,
+    material_of: Ints,
+    materials: Floats,
+    wrinkles: Floats,
+    camera: Floats,
+    light: Floats,
+    to_light: Floats,
+    heights: Floats,
+    picture: Floats,
+) -> None:
     """Colour the pixels that show triangles.
 
     Parameters
@@ -372,9 +360,7 @@ def shade(
 
 
 @njit(nogil=True, cache=True)
-def _surface_of(
-    camera: NDArray[np.float32], ray: Vector, room: NDArray[np.float32]
-) -> tuple[int, float]:  # pragma: no cover - compiled
+def _surface_of(camera: Floats, ray: Vector, room: Floats) -> tuple[int, float]:
     """The surface of a room that a ray meets, and how many lengths of the ray away it is."""
     reach, side = 1e9, 0
     for axis in range(3):
@@ -389,9 +375,7 @@ def _surface_of(
 
 
 @njit(nogil=True, cache=True)
-def _panel_at(
-    panels: NDArray[np.float32], side: int, u: float, v: float
-) -> int:  # pragma: no cover - compiled
+def _panel_at(panels: Floats, side: int, u: float, v: float) -> int:
     """The last panel that covers a place of a surface, or -1."""
     for k in range(len(panels) - 1, -1, -1):
         inside = panels[k, 1] <= u <= panels[k, 2] and panels[k, 3] <= v <= panels[k, 4]
@@ -401,7 +385,7 @@ def _panel_at(
 
 
 @njit(nogil=True, cache=True)
-def _inward_normal(side: int) -> Vector:  # pragma: no cover - compiled
+def _inward_normal(side: int) -> Vector:
     nx = 1.0 if side == 0 else -1.0 if side == 1 else 0.0
     ny = 1.0 if side == 2 else -1.0 if side == 3 else 0.0
     nz = 1.0 if side == 4 else -1.0 if side == 5 else 0.0
@@ -409,7 +393,7 @@ def _inward_normal(side: int) -> Vector:  # pragma: no cover - compiled
 
 
 @njit(nogil=True, cache=True)
-def _lamp_falloff(place: Vector, glow: NDArray[np.float32]) -> float:  # pragma: no cover - compiled
+def _lamp_falloff(place: Vector, glow: Floats) -> float:
     """Factor by which light falls off with the distance from a lamp."""
     near = (place[0] - glow[0]) ** 2 + (place[1] - glow[1]) ** 2 + (place[2] - glow[2]) ** 2
     return float(1 - glow[3] + glow[3] / (1 + near / (glow[4] * glow[4])))
@@ -417,19 +401,19 @@ def _lamp_falloff(place: Vector, glow: NDArray[np.float32]) -> float:  # pragma:
 
 @njit(nogil=True, cache=True)
 def paint_room(
-    to_world: NDArray[np.float32],
-    camera: NDArray[np.float32],
-    pinhole: NDArray[np.float32],
-    room: NDArray[np.float32],
-    materials: NDArray[np.float32],
-    panels: NDArray[np.float32],
-    light: NDArray[np.float32],
-    glow: NDArray[np.float32],
-    to_light: NDArray[np.float32],
-    heights: NDArray[np.float32],
-    nearness: NDArray[np.float32],
-    picture: NDArray[np.float32],
-) -> None:  # pragma: no cover - compiled
+    to_world: Floats,
+    camera: Floats,
+    pinhole: Floats,
+    room: Floats,
+    materials: Floats,
+    panels: Floats,
+    light: Floats,
+    glow: Floats,
+    to_light: Floats,
+    heights: Floats,
+    nearness: Floats,
+    picture: Floats,
+) -> None:
     """Paint walls, floor and ceiling of a room seen from inside.
 
     Parameters

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.vision.depth import DenseNetwork
-from scripts.training.fit_dense import averaged, fit_dense, moved_outputs, scaled_outputs
+from scripts.training.fit_dense import averaged, fit_dense, with_outputs
 
 
 def network(seed: int, hidden: int) -> DenseNetwork:
@@ -32,9 +32,9 @@ def test_an_average_gives_the_mean_of_its_networks() -> None:
 
 def test_outputs_are_scaled_and_moved() -> None:
     one = network(1, 5)
-    by = np.array([2.0, -1.0])
-    assert_allclose(scaled_outputs(one, by)(FEATURES), one(FEATURES) * by, atol=1e-5)
-    assert_allclose(moved_outputs(one, by)(FEATURES), one(FEATURES) + by, atol=1e-5)
+    factors, offsets = np.array([2.0, -1.0]), np.array([0.5, 3.0])
+    changed = with_outputs(one, factors, offsets)(FEATURES)
+    assert_allclose(changed, one(FEATURES) * factors + offsets, atol=1e-5)
 
 
 @pytest.mark.slow
