@@ -100,7 +100,14 @@ class Video:
         av.logging.set_skip_repeated(False)
         with av.logging.Capture() as messages:
             try:
-                self._container = av.open(source, "r", options=options or {}, timeout=timeout_s)
+                self._container = av.open(
+                    source,
+                    "r",
+                    options=options or {},
+                    timeout=timeout_s,
+                    # Titles and names of cameras come in any encoding.
+                    metadata_errors="replace",
+                )
             except av.FFmpegError as error:
                 unfinished = any(_NO_INDEX in text for *_, text in messages)
                 raise UnreadableError(_UNFINISHED if unfinished else NOT_A_VIDEO) from error
@@ -138,7 +145,8 @@ class Video:
                 aspect, pixels = self._aspect(picture), self._upright(picture)
                 yield Frame(number, timestamp, picture.opaque == [True], aspect, pixels)
         if self._is_cut_off:
-            raise UnreadableError(f"one that is cut off or damaged after {count} frames")
+            where = f"after {count} frames" if count else "before its first frame"
+            raise UnreadableError(f"one that is cut off or damaged {where}")
         if not count:
             raise UnreadableError(NOT_A_VIDEO)
 
