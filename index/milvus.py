@@ -30,8 +30,8 @@ logging.getLogger("pymilvus").setLevel(logging.CRITICAL)
 ALIAS = "poses"
 """Names the collection to search. Services that search other indexes use databases of their own."""
 
-PREFIX = "poses_"
-NUMBER, VECTOR = "number", "vector"
+NAME_PREFIX = "poses_"
+ROW, VECTOR = "number", "vector"
 METRIC = {"metric_type": "L2"}
 
 _TIMEOUT_S = 2.0  # Longest time of a call.
@@ -81,7 +81,7 @@ class MilvusNeighbours:
                 limit=k,
                 anns_field=VECTOR,
                 search_params=METRIC,
-                output_fields=[NUMBER],
+                output_fields=[ROW],
                 consistency_level="Eventually",  # The collection no longer changes.
                 timeout=_TIMEOUT_S,
             )
@@ -118,7 +118,7 @@ def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | No
     with milvus_errors():
         client = MilvusClient(uri, timeout=_TIMEOUT_S)
         name = str(client.describe_alias(ALIAS, timeout=_TIMEOUT_S)["collection_name"])
-    version = f"sha256:{name.removeprefix(PREFIX)}"
+    version = f"sha256:{name.removeprefix(NAME_PREFIX)}"
     if version == known:
         return None
     path = find_artefact(artefacts, version)

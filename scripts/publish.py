@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.milvus import ALIAS, METRIC, NUMBER, PREFIX, VECTOR, MilvusNeighbours, milvus_errors
+from index.milvus import ALIAS, METRIC, NAME_PREFIX, ROW, VECTOR, MilvusNeighbours, milvus_errors
 from index.search import UnavailableError
 from index.store import PoseIndex
 
@@ -31,7 +31,7 @@ def publish(uri: str, index: PoseIndex) -> None:
 
     If anything fails, the alias names what it named before, and publishing can be repeated.
     """
-    name = PREFIX + index.version.removeprefix("sha256:")
+    name = NAME_PREFIX + index.version.removeprefix("sha256:")
     with milvus_errors():
         client = MilvusClient(uri, **ONCE)
         names = client.list_collections(**ONCE)
@@ -48,14 +48,14 @@ def publish(uri: str, index: PoseIndex) -> None:
 
 def _write(client: MilvusClient, name: str, index: PoseIndex) -> None:
     schema = client.create_schema(auto_id=False)
-    schema.add_field(NUMBER, DataType.INT64, is_primary=True)
+    schema.add_field(ROW, DataType.INT64, is_primary=True)
     schema.add_field(VECTOR, DataType.FLOAT_VECTOR, dim=index.descriptor.dimension)
     client.create_collection(name, schema=schema, **ONCE)
     exact = client.prepare_index_params(VECTOR, index_type="FLAT", **METRIC)
     client.create_index(name, exact, **ONCE)
     for start in tqdm(range(0, len(index), BATCH), unit="batch"):
         rows = enumerate(index.vectors[start : start + BATCH].astype(np.float32), start)
-        client.insert(name, [{NUMBER: number, VECTOR: row} for number, row in rows], **ONCE)
+        client.insert(name, [{ROW: number, VECTOR: row} for number, row in rows], **ONCE)
     client.flush(name, **ONCE)
 
 

@@ -20,15 +20,15 @@ PEOPLE = (
 )  # fmt: skip
 """Colours of people (BGR) as on the debug page: bright enough for night, dark enough for snow."""
 
-SIDES = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
+SIDE_COLOURS = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
 """Colours of limbs (BGR) as on the debug page: the person's own left is orange, right blue."""
 
 OUTLINE = (255, 255, 255)
 
 LEGEND = (
-    ("person's left", SIDES["left"], False),
-    ("right", SIDES["right"], False),
-    ("unsure", SIDES["middle"], True),
+    ("person's left", SIDE_COLOURS["left"], False),
+    ("right", SIDE_COLOURS["right"], False),
+    ("unsure", SIDE_COLOURS["middle"], True),
     ("silhouette", OUTLINE, False),
 )
 """The meaning of each line, its colour, and whether it is dashed."""
@@ -206,7 +206,7 @@ def draw_skeleton(
 ) -> None:
     """Draw bones into a BGR picture, with a dark outline; points that are not finite are left out.
 
-    Left and right have the colours of :data:`SIDES`; bones with an unsure end are dashed.
+    Left and right have the colours of :data:`SIDE_COLOURS`; bones with an unsure end are dashed.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def draw_skeleton(
     for seam in (2, 0):
         for parent, child in keypoints.bones:
             if drawable[parent] and drawable[child]:
-                colour = (0, 0, 0) if seam else SIDES[_side(keypoints, parent, child)]
+                colour = (0, 0, 0) if seam else SIDE_COLOURS[_side(keypoints, parent, child)]
                 dashed = bool(unsure) and (unsure[parent] or unsure[child])
                 along = fixed[child] - fixed[parent]
                 for start, end in _DASHES if dashed else ((0.0, 1.0),):

@@ -62,11 +62,6 @@ class FramePosture:
         if self.probabilities.shape != (len(FRAME_POSTURES),):
             raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
 
-    @property
-    def likeliest(self) -> FramePostureName:
-        """The likeliest posture."""
-        return FRAME_POSTURES[int(self.probabilities.argmax())]
-
     def of(self, name: FramePostureName) -> float:
         """Probability of one posture."""
         return float(self.probabilities[FRAME_POSTURES.index(name)])

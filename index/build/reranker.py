@@ -48,17 +48,6 @@ from index.reranker import RERANKING_FEATURES, RankingModel
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
-_BLOCK = 4096
-# Share of the silhouettes that are also shown degraded.
-_DEGRADED_SHARE = 0.5
-# Share of the silhouettes whose border pixels are flipped at random, and the largest share of the
-# border pixels that are flipped.
-_FLIPPED_SHARE, _MAX_FLIPS = 0.25, 0.2
-# Silhouettes that show how large values become within the network.
-_SCALE_SAMPLE = 400
-# Passes over all silhouettes, as a share of those without the clips kept for the confidence.
-_FINISHING_SHARE = 0.2
-
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -81,6 +70,110 @@ class TrainingConfig:
     rate: float = 2e-3
     decay: float = 0.02
     seed: int = 20161
+
+
+# Passes over all silhouettes, as a share of those without the clips kept for the confidence.
+_FINISHING_SHARE = 0.2
+
+
+def train_reranker(
+    index: PoseIndex,
+    spec: IndexSpec,
+    config: TrainingConfig,
+    *,
+    progress: bool = False,
+    log: Callable[[str], None] = lambda _: None,
+) -> RankingModel:
+    """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
+
+    At first the network does not see some clips; the confidence is fitted on what the index,
+    without their entries, answers to silhouettes of these clips on bodies of their own. Then the
+    network learns from them as well, as the index has their entries.
+
+    Parameters
+    ----------
+    spec : IndexSpec
+        What the index was built from. Its ``segments`` may be used: an experiment leaves out those
+        that it asks for. The confidence is fitted on ``plan.calibration`` silhouettes.
+    progress : bool
+        Whether to show progress bars.
+    log : callable
+        Takes sentences about the progress.
+
+    Raises
+    ------
+    ValueError
+        If the index has no entry of the segments.
+    """
+    segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
+    kept, held, by_clip = split(segments)
+    if not by_clip:
+        log(NOT_HELD_OUT)
+    rows = entries_of(index, kept)
+    if not len(rows):
+        raise ValueError("expected an index with entries of the given motion, got none")
+    log(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
+    layers = train(index, rows, config, log=log)
+    network = _whole(layers, index, rows)
+    simulated = simulate_queries(
+        spec.motion,
+        held,
+        make_avatars(CALIBRATION_AVATARS, spec.garments),
+        spec.plan.calibration,
+        config.seed + 1,
+    )
+    queries = Queries.of(simulated).half_degraded(config.seed + 1)
+    reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
+    everything = entries_of(index, segments)
+    log(f"Going on with {len(everything):,} silhouettes.")
+    finish = replace(config, passes=_FINISHING_SHARE * config.passes, rate=config.rate / 2)
+    layers = train(index, everything, finish, start=layers, log=log)
+    training: dict[str, Any] = {
+        "index": index.version,
+        "entries": len(everything),
+        "clips": sorted({segment.clip for segment in segments}),
+        "passes": config.passes,
+        "seed": config.seed,
+        "confidence_fitted_on": len(queries),
+        "of_clips_held_out": by_clip,
+    }
+    return replace(reranker, network=_whole(layers, index, everything), training=training)
+
+
+# Silhouettes that show how large values become within the network.
+_SCALE_SAMPLE = 400
+
+
+def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
+    """The trained network in whole numbers, scaled to the values of some of the entries."""
+    some = rows[:: max(1, len(rows) // _SCALE_SAMPLE)]
+    return in_whole_numbers(layers, network_input(index.silhouettes(some)))
+
+
+def calibrated(
+    index: PoseIndex,
+    network: JointNetwork,
+    queries: Queries,
+    *,
+    progress: bool = False,
+    log: Callable[[str], None] = lambda _: None,
+) -> RankingModel:
+    """A network with the confidence that is fitted to its ranking of an index's answers."""
+    asked = replace(index, reranker=RankingModel.of(network))
+    calibration = calibrate(asked, queries, RERANKING_FEATURES, progress=progress, log=log)
+    return RankingModel(network, calibration)
+
+
+def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
+    """Some entries of an index, searched exactly."""
+    return replace(
+        index,
+        vectors=index.vectors[rows],
+        entries=index.entries[rows],
+        silhouette_store=index.silhouette_store.select(rows),
+        version="",
+        searched_by=None,
+    )
 
 
 def train(
@@ -141,6 +234,16 @@ def train(
             log(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
             lost = 0.0
     return layers
+
+
+_BLOCK = 4096
+
+# Share of the silhouettes that are also shown degraded.
+_DEGRADED_SHARE = 0.5
+
+# Share of the silhouettes whose border pixels are flipped at random, and the largest share of the
+# border pixels that are flipped.
+_FLIPPED_SHARE, _MAX_FLIPS = 0.25, 0.2
 
 
 @dataclass(frozen=True)
@@ -321,99 +424,3 @@ def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:
 
 def _array(values: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.asarray(values, np.float32)
-
-
-def train_reranker(
-    index: PoseIndex,
-    spec: IndexSpec,
-    config: TrainingConfig,
-    *,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
-) -> RankingModel:
-    """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
-
-    At first the network does not see some clips; the confidence is fitted on what the index,
-    without their entries, answers to silhouettes of these clips on bodies of their own. Then the
-    network learns from them as well, as the index has their entries.
-
-    Parameters
-    ----------
-    spec : IndexSpec
-        What the index was built from. Its ``segments`` may be used: an experiment leaves out those
-        that it asks for. The confidence is fitted on ``plan.calibration`` silhouettes.
-    progress : bool
-        Whether to show progress bars.
-    log : callable
-        Takes sentences about the progress.
-
-    Raises
-    ------
-    ValueError
-        If the index has no entry of the segments.
-    """
-    segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
-    kept, held, by_clip = split(segments)
-    if not by_clip:
-        log(NOT_HELD_OUT)
-    rows = entries_of(index, kept)
-    if not len(rows):
-        raise ValueError("expected an index with entries of the given motion, got none")
-    log(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
-    layers = train(index, rows, config, log=log)
-    network = _whole(layers, index, rows)
-    simulated = simulate_queries(
-        spec.motion,
-        held,
-        make_avatars(CALIBRATION_AVATARS, spec.garments),
-        spec.plan.calibration,
-        config.seed + 1,
-    )
-    queries = Queries.of(simulated).half_degraded(config.seed + 1)
-    reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
-    everything = entries_of(index, segments)
-    log(f"Going on with {len(everything):,} silhouettes.")
-    finish = replace(config, passes=_FINISHING_SHARE * config.passes, rate=config.rate / 2)
-    layers = train(index, everything, finish, start=layers, log=log)
-    training: dict[str, Any] = {
-        "index": index.version,
-        "entries": len(everything),
-        "clips": sorted({segment.clip for segment in segments}),
-        "passes": config.passes,
-        "seed": config.seed,
-        "confidence_fitted_on": len(queries),
-        "of_clips_held_out": by_clip,
-    }
-    return replace(reranker, network=_whole(layers, index, everything), training=training)
-
-
-def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> JointNetwork:
-    """The trained network in whole numbers, scaled to the values of some of the entries."""
-    some = rows[:: max(1, len(rows) // _SCALE_SAMPLE)]
-    return in_whole_numbers(layers, network_input(index.silhouettes(some)))
-
-
-def calibrated(
-    index: PoseIndex,
-    network: JointNetwork,
-    queries: Queries,
-    *,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
-) -> RankingModel:
-    """A network with the confidence that is fitted to its ranking of an index's answers."""
-    asked = replace(index, reranker=RankingModel.of(network))
-    calibration = calibrate(asked, queries, RERANKING_FEATURES, progress=progress, log=log)
-    return RankingModel(network, calibration)
-
-
-def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
-    """Some entries of an index, searched exactly."""
-    return replace(
-        index,
-        vectors=index.vectors[rows],
-        entries=index.entries[rows],
-        silhouette_store=index.silhouette_store.select(rows),
-        version="",
-        searched_by=None,
-    )

@@ -35,7 +35,7 @@ MAX_PENDING = 128
 """Tasks handed out at a time: enough for the cores of a large cluster, 40 MB of transforms."""
 
 
-Result = TypeVar("Result")
+_Result = TypeVar("_Result")
 
 
 @dataclass(frozen=True)
@@ -178,15 +178,15 @@ def _posed(
 
 def bounded_map(
     executor: Executor,
-    function: Callable[..., Result],
+    function: Callable[..., _Result],
     tasks: Iterable[tuple[Any, ...]],
     max_pending: int = MAX_PENDING,
-) -> Iterator[Result]:
+) -> Iterator[_Result]:
     """Call a function with each task's arguments; results in order, ``max_pending`` at a time.
 
     :meth:`concurrent.futures.Executor.map` would take all tasks at once.
     """
-    pending: deque[Future[Result]] = deque()
+    pending: deque[Future[_Result]] = deque()
     try:
         for task in tasks:
             pending.append(executor.submit(function, *task))

@@ -106,19 +106,15 @@ def test_refuses_a_projection_of_another_width() -> None:
         DiscriminantDescriptor(np.zeros((5, 23), np.float32), 6, 4)
 
 
-def test_restore_refuses_an_unknown_name() -> None:
-    parameters = {**DiagonalDescriptor().parameters(), "name": "fourier"}
-    with pytest.raises(ValueError, match="got 'fourier'"):
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({**DiagonalDescriptor().parameters(), "name": "fourier"}, "got 'fourier'"),
+        (discriminant().parameters(), "projection"),
+        *(({k: v for k, v in DiagonalDescriptor().parameters().items() if k != name}, name)
+          for name in ("p1", "p2", "orders")),
+    ],
+)  # fmt: skip
+def test_restore_names_what_is_missing_or_unknown(parameters: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
         restore(parameters, {})
-
-
-@pytest.mark.parametrize("missing", ["p1", "p2", "orders"])
-def test_restore_names_what_is_missing(missing: str) -> None:
-    parameters = {k: v for k, v in DiagonalDescriptor().parameters().items() if k != missing}
-    with pytest.raises(ValueError, match=missing):
-        restore(parameters, {})
-
-
-def test_restore_refuses_a_discriminant_descriptor_without_its_projection() -> None:
-    with pytest.raises(ValueError, match="projection"):
-        restore(discriminant().parameters(), {})

@@ -235,13 +235,6 @@ def test_principal_axis_of_an_ellipse_is_its_long_axis(angle: int, short: int) -
     assert apart_deg(found, angle) < 1.0
 
 
-@given(mask=masks())
-def test_principal_axis_is_mirrored_with_the_mask(mask: Mask) -> None:
-    assume(has_axis(mask))
-    ours, theirs = principal_axis_deg(mask), principal_axis_deg(mask[:, ::-1])
-    assert apart_deg(ours, -theirs) == pytest.approx(0, abs=1e-6)
-
-
 @given(mask=masks(), top=st.integers(0, 9), left=st.integers(0, 9))
 def test_principal_axis_ignores_translation_and_scale(mask: Mask, top: int, left: int) -> None:
     assume(has_axis(mask))
@@ -272,12 +265,6 @@ def test_wide_is_wider_than_high(mask: Mask) -> None:
 
 @pytest.mark.parametrize("angle", [-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0])
 class TestRotate:
-    def test_rotating_back_restores_the_silhouette(self, angle: float) -> None:
-        silhouette = normalise(PERSON)[0]
-        again = rotate_silhouette(rotate_silhouette(silhouette, angle)[0], -angle)[0]
-        # Lying, it is drawn at less than half of the size.
-        assert (again & silhouette).sum() / (again | silhouette).sum() > 0.6
-
     def test_pixels_map_back_to_the_mask(self, angle: float) -> None:
         mask = smooth_person(240)
         rotated, inverse = rotate_silhouette(mask, angle)

@@ -91,15 +91,6 @@ def whole(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.rint(values).clip(0, 127).astype(np.float64)
 
 
-def test_mirror_image_has_mirrored_distributions(
-    network: JointNetwork, toy_index: PoseIndex
-) -> None:
-    silhouette = toy_index.silhouette(3)
-    silhouette[60:71, 21:28] = 1  # Not of whole blocks of four, as an index stores them.
-    seen, other = (network.distributions(s) for s in (silhouette, silhouette[:, ::-1]))
-    assert_allclose(other.log_probabilities, seen.mirrored().log_probabilities, rtol=1e-12)
-
-
 def test_mirrored_skeletons_are_as_likely(network: JointNetwork, toy_index: PoseIndex) -> None:
     seen = network.distributions(toy_index.silhouette(3))
     points_3d, points_2d = toy_index.points(np.arange(20))

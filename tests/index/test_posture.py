@@ -22,7 +22,7 @@ from index.posture import (
     classify_postures,
     lying_elevation_deg,
 )
-from index.skeleton import JOINT_NAMES, POINTS, camera_rotation, mirror_3d
+from index.skeleton import JOINT_NAMES, POINTS, camera_rotation
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -173,10 +173,6 @@ def test_each_skeleton_has_its_own_speed_and_up() -> None:
 def test_heading_size_and_place_do_not_matter(yaw: float, scale: float, shift: float) -> None:
     moved = scale * SKELETONS @ rotated(1, yaw).T + np.array([shift, -shift, 2 * shift])
     assert postures(moved) == EXPECTED
-
-
-def test_mirror_image_has_the_same_posture() -> None:
-    assert postures(mirror_3d(SKELETONS)) == EXPECTED
 
 
 def test_only_joints_count() -> None:

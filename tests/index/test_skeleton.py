@@ -121,12 +121,6 @@ def some_points(axes: int) -> np.ndarray:
 
 
 class TestMirror:
-    def test_twice_is_the_same(self) -> None:
-        assert_array_equal(mirror_3d(mirror_3d(some_points(3))), some_points(3))
-        # 47 - (47 - x) rounds once.
-        twice = mirror_normalised(mirror_normalised(some_points(2)))
-        assert_allclose(twice, some_points(2), atol=1e-13)
-
     def test_left_becomes_right_and_the_middle_stays(self) -> None:
         points = some_points(3)[0]
         image = mirror_3d(points)

@@ -42,19 +42,19 @@ def test_takes_the_frames_of_the_segments(poses: Poses) -> None:
     assert {poses.actions[a] for a in poses.action[greeting]} == {"wave"}
 
 
-def test_refuses_no_segments(motion_folder: Path) -> None:
-    with pytest.raises(MotionError, match="at least one segment"):
-        read_poses(motion_folder, [])
-
-
-def test_refuses_a_segment_beyond_its_clip(motion_folder: Path) -> None:
-    with pytest.raises(MotionError, match="clip stroll ends at frame 31, the clip has 30"):
-        read_poses(motion_folder, [Segment("stroll", "s1", "walk", 0, 31)])
-
-
-def test_refuses_a_missing_clip(motion_folder: Path) -> None:
-    with pytest.raises(MotionError, match="ghost"):
-        read_poses(motion_folder, [Segment("ghost", "s1", "walk", 0, 3)])
+@pytest.mark.parametrize(
+    ("segments", "said"),
+    [
+        ([], "at least one segment"),
+        ([Segment("stroll", "s1", "walk", 0, 31)], "stroll ends at frame 31, the clip has 30"),
+        ([Segment("ghost", "s1", "walk", 0, 3)], "ghost"),
+    ],
+)
+def test_segments_that_are_not_there_are_refused(
+    motion_folder: Path, segments: list[Segment], said: str
+) -> None:
+    with pytest.raises(MotionError, match=said):
+        read_poses(motion_folder, segments)
 
 
 def test_heads_of_whole_subjects_are_held_level(tmp_path: Path) -> None:

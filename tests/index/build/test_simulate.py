@@ -31,21 +31,15 @@ def assert_same(one: Simulation, other: Simulation) -> None:
         )
 
 
-@pytest.mark.parametrize("cores", [1, 3, 16])
-def test_same_bytes_on_any_number_of_cores(
-    poses: Poses, avatars: list[Avatar], simulation: Simulation, cores: int,
+@pytest.mark.parametrize(("cores", "batch"), [(1, 100), (3, 7), (16, 100)])
+def test_same_bytes_on_any_number_of_cores_in_tasks_of_any_size(
+    poses: Poses, avatars: list[Avatar], simulation: Simulation, cores: int, batch: int,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
+    monkeypatch.setattr("index.build.simulate.BATCH", batch)
     again = simulate(poses, avatars, bodies=1, views=12, seed=7)
     assert_same(again, simulation)
-
-
-def test_same_bytes_in_tasks_of_any_size(
-    poses: Poses, avatars: list[Avatar], simulation: Simulation, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("index.build.simulate.BATCH", 7)
-    assert_same(simulate(poses, avatars, bodies=1, views=12, seed=7), simulation)
 
 
 def test_same_bytes_on_a_dask_cluster(
