@@ -121,7 +121,8 @@ def write_pictures(studio: Studio, seed: int, count: int, folder: Path) -> None:
             small = crop_and_resize(image, *keypoint_window(Box(*photograph.box.tolist())))
         else:
             scale = min(columns / image.shape[1], rows / image.shape[0])
-            small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            resized = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            small = np.asarray(resized, np.uint8)
         cv2.imwrite(str(folder / f"{number:04d}.png"), small)
 
 
