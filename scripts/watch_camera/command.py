@@ -85,7 +85,7 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
         time.sleep(_POLL_S)
     closing.set()
     if len(outbox):
-        where = f"wait in {options.queue}" if outbox.is_saved else "are lost: --queue keeps them"
+        where = f"wait in {options.queue}" if outbox.save() else "are lost: --queue keeps them"
         say(f"{len(outbox)} deliveries {where}")
     if watching.done():
         try:

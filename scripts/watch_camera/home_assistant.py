@@ -158,7 +158,9 @@ class HomeAssistant:
                 self._state[f"{self._base}/{topic}"] = _UNKNOWN
 
     def news(self) -> list[str]:
-        """Return the topics whose retained message the broker does not have yet."""
+        """Return the topics whose retained message the connected broker does not have yet."""
+        if not self._client.is_connected():
+            return []
         with self._changed:
             return [t for t, payload in self._state.items() if self._published.get(t) != payload]
 

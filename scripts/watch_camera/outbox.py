@@ -62,11 +62,6 @@ class Outbox:
         with self._changed:
             return sum(map(len, self._waiting.values()))
 
-    @property
-    def is_saved(self) -> bool:
-        """Whether all that waits is in the file."""
-        return self._path is not None and not self._unsaved
-
     def put(self, message: Message) -> None:
         """Add a message for each receiver, unless it waits already."""
         with self._changed:
@@ -84,7 +79,7 @@ class Outbox:
         """Take a message as the newest that was put; with an empty id, any is newer."""
         with self._changed:
             self.newest = message_id
-            self._save()
+            self.save()
 
     def wait_for_next(self, receiver: str, timeout_s: float) -> Message | None:
         """Return a receiver's oldest message; None if there is none."""
@@ -97,7 +92,7 @@ class Outbox:
         """Remove a message that its receiver has taken."""
         with self._changed:
             self._drop(receiver, message_id)
-            self._save()
+            self.save()
 
     def _drop(self, receiver: str, message_id: str) -> None:
         del self._waiting[receiver][message_id]
@@ -118,30 +113,32 @@ class Outbox:
         row = self._database.execute("select id from newest where camera = ?", camera).fetchone()
         self.newest = row and row[0]
 
-    def _save(self) -> None:
-        """Write what is not saved yet, all or nothing."""
+    def save(self) -> bool:
+        """Write what the file lacks, all or nothing; return whether it has all that waits."""
         if self._path is None:
-            return
-        put, taken = [], []
-        for receiver, message_id in self._unsaved:
-            message = self._waiting[receiver].get(message_id)
-            if message is None:
-                taken.append((receiver, message_id))
-            else:
-                put.append((receiver, message_id, json.dumps(message)))
-        newest = (self._camera_id, self.newest)
-        try:
-            with self._database as database:
-                database.executemany("delete from waiting where receiver = ? and id = ?", taken)
-                database.executemany("insert or ignore into waiting values (null, ?, ?, ?)", put)
-                database.execute("insert or replace into newest values (?, ?)", newest)
-        except sqlite3.Error as error:
-            self._trouble.report(
-                f"--queue: {error}: events wait in memory until {self._path} works"
-            )
-        else:
+            return False
+        with self._changed:
+            put, taken = [], []
+            for receiver, message_id in self._unsaved:
+                message = self._waiting[receiver].get(message_id)
+                if message is None:
+                    taken.append((receiver, message_id))
+                else:
+                    put.append((receiver, message_id, json.dumps(message)))
+            newest = (self._camera_id, self.newest)
+            try:
+                with self._database as database:
+                    database.executemany("delete from waiting where receiver = ? and id = ?", taken)
+                    database.executemany(
+                        "insert or ignore into waiting values (null, ?, ?, ?)", put
+                    )
+                    database.execute("insert or replace into newest values (?, ?)", newest)
+            except sqlite3.Error as error:
+                self._trouble.report(f"--queue: {error}: events wait in memory")
+                return False
             self._unsaved.clear()
             self._trouble.end()
+            return True
 
 
 def deliver(

@@ -49,6 +49,7 @@ def test_each_message_is_taken_once_and_in_order(
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(common, "WAITS_S", (0.0,))
+        patch.setattr(outbox, "_POLL_S", 0.001)
         thread = threading.Thread(target=deliver, args=(waiting, stopping, "webhook", send))
         thread.start()
         unique = [str(number) for number in dict.fromkeys(numbers)]
@@ -89,9 +90,9 @@ def test_what_a_full_disk_does_not_take_is_written_later(
         waiting.put(message(3))
         waiting.put(message(4))
         waiting.remove("webhook", "1")
-        assert (first(waiting), waiting.is_saved) == (message(2), False)
+        assert (first(waiting), waiting.save()) == (message(2), False)
     waiting.put(message(5))
-    assert waiting.is_saved
+    assert waiting.save()
     again = Outbox("yard", ["webhook"], path)
     kept = []
     while (oldest := first(again)) is not None:
