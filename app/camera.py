@@ -25,19 +25,19 @@ from index.matching import DEFAULT_HYPOTHESES
 TRACK_BYTES = 110_000
 """Memory of a track that is a few seconds long; a test measures it."""
 
-MIN_STEP_S = 1e-3
+MIN_INTERVAL_S = 1e-3
 """Frames closer together have no order that a camera could have seen."""
 
 # After a longer gap the scene may be another one.
-MAX_GAP_S = 10.0
+_MAX_GAP_S = 10.0
 # A frame that is late by more than this was not overtaken by another one: the clock was set, or an
 # earlier timestamp was wrong.
-MAX_LATE_S = 5.0
+_MAX_LATE_S = 5.0
 # Time without a sighting after which a track is dropped: usually, and for a person who is hidden
 # behind another one or vanished away from the frame's border.
-DROPPED_AFTER_S, PREDICTED_FOR_S = 0.5, 2.0
+_DROPPED_AFTER_S, _PREDICTED_FOR_S = 0.5, 2.0
 # Share of a person's box that another must cover to hide them.
-HIDDEN_SHARE = 0.5
+_HIDDEN_SHARE = 0.5
 
 
 class LateFrameError(ValueError):
@@ -159,9 +159,9 @@ class CameraSession:
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(MIN_STEP_S, arrived - self._arrived)
-        begins_afresh = timestamp < self._timestamp - MAX_LATE_S
-        if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
+            return self._timestamp + max(MIN_INTERVAL_S, arrived - self._arrived)
+        begins_afresh = timestamp < self._timestamp - _MAX_LATE_S
+        if not (begins_afresh or timestamp >= self._timestamp + MIN_INTERVAL_S):
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"
@@ -177,8 +177,8 @@ class CameraSession:
         if before != self._size:
             (height, width), (rows, columns) = before, self._size
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
-        elif self._frames and gap > MAX_GAP_S:
-            reason = f"no frame came for {gap:.1f} s, more than {MAX_GAP_S:g} s"
+        elif self._frames and gap > _MAX_GAP_S:
+            reason = f"no frame came for {gap:.1f} s, more than {_MAX_GAP_S:g} s"
         elif self._frames and gap < 0:
             reason = f"the timestamps went back by {-gap:.1f} s"
         else:
@@ -280,7 +280,7 @@ class CameraSession:
             predicted = track.track_id is not None and (
                 self._hidden_box(track, timestamp) is not None or self._vanished(track)
             )
-            longest = PREDICTED_FOR_S if predicted else DROPPED_AFTER_S
+            longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at <= longest:
                 kept.append(track)
             else:
@@ -289,7 +289,7 @@ class CameraSession:
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
         """Predicted box of a person hidden behind another person; None if nobody hides them."""
-        if self._size is None or timestamp - track.seen_at > PREDICTED_FOR_S:
+        if self._size is None or timestamp - track.seen_at > _PREDICTED_FOR_S:
             return None
         box = track.box_filter.predict(timestamp).clip(self._size[1], self._size[0])
         others = [
@@ -297,7 +297,7 @@ class CameraSession:
             for other in self._tracks
             if other is not track and other.seen_at == timestamp
         ]
-        if box and any(other.intersection(box) >= HIDDEN_SHARE * box.area for other in others):
+        if box and any(other.intersection(box) >= _HIDDEN_SHARE * box.area for other in others):
             return box
         return None
 

@@ -1,4 +1,4 @@
-"""A video in a camera session: its frames are processed in order until the video ends."""
+"""One video: its frames go through a camera session in order, until it ends with a summary."""
 
 from __future__ import annotations
 
@@ -19,85 +19,6 @@ from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedP
 from app.video.reader import VideoError, VideoFrame, VideoReader
 from index.posture import PostureName
 from index.search import UnavailableError
-
-MAX_GAP_S = 2.0
-"""A person unseen for longer is not assumed to keep a posture."""
-
-PostureLabel = PostureName | Literal["unclear"]
-
-
-@dataclass
-class TrackSummary:
-    """One person over the frames of a video.
-
-    Parameters
-    ----------
-    track_id : int
-        Unique within the video.
-    first_timestamp, last_timestamp : float
-        Seconds.
-    frames : int
-        Frames in which the person was seen.
-    """
-
-    track_id: int
-    first_timestamp: float
-    last_timestamp: float
-    frames: int = 0
-    _posture: PostureLabel | None = None
-    _posture_s: dict[PostureLabel, float] = field(default_factory=dict)
-    _actions: dict[str, float] = field(default_factory=dict)
-    _frames_with_action: int = 0
-
-    def add(self, tracked: TrackedPerson, timestamp: float) -> None:
-        """Add the person's next frame; a posture lasts until then unless the gap is longer."""
-        gap_s = timestamp - self.last_timestamp
-        if self._posture is not None and gap_s <= MAX_GAP_S:
-            self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
-        posture = tracked.posture
-        self._posture = posture.label if posture else None
-        if self._posture is not None:
-            self._posture_s.setdefault(self._posture, 0.0)
-        if tracked.action is not None:
-            label, probability = tracked.action.label, tracked.action.probability
-            self._actions[label] = self._actions.get(label, 0.0) + probability
-            self._frames_with_action += 1
-        self.last_timestamp = timestamp
-        self.frames += 1
-
-    def postures(self) -> list[tuple[PostureLabel, float]]:
-        """Return each posture and its seconds, the longest first."""
-        return sorted(self._posture_s.items(), key=lambda item: -item[1])
-
-    def action(self) -> RecognisedAction | None:
-        """Return the action with the largest sum of probabilities, and its mean probability."""
-        if not self._actions:
-            return None
-        label = max(self._actions, key=lambda name: self._actions[name])
-        return RecognisedAction(label, self._actions[label] / self._frames_with_action)
-
-
-class VideoSummary:
-    """Tracks and events over the frames of a video."""
-
-    def __init__(self) -> None:
-        self.frames = 0
-        self.damaged = 0
-        """Frames of which the video has lost data."""
-        self.tracks: dict[int, TrackSummary] = {}
-        self.events: list[Event] = []
-
-    def add(self, frame: TrackedFrame) -> None:
-        """Add the next frame."""
-        self.frames += 1
-        self.damaged += "damaged" in frame.warnings
-        self.events += frame.events
-        for tracked in frame.persons:
-            track = self.tracks.setdefault(
-                tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
-            )
-            track.add(tracked, frame.timestamp)
-
 
 VideoEndReason = Literal[
     "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable", "failed"
@@ -248,3 +169,82 @@ class VideoRun:
 async def _until_cancelled() -> None:
     """Wait: if the client hangs up, the whole answer is cancelled."""
     await asyncio.Event().wait()
+
+
+class VideoSummary:
+    """Tracks and events over the frames of a video."""
+
+    def __init__(self) -> None:
+        self.frames = 0
+        self.damaged = 0
+        """Frames of which the video has lost data."""
+        self.tracks: dict[int, TrackSummary] = {}
+        self.events: list[Event] = []
+
+    def add(self, frame: TrackedFrame) -> None:
+        """Add the next frame."""
+        self.frames += 1
+        self.damaged += "damaged" in frame.warnings
+        self.events += frame.events
+        for tracked in frame.persons:
+            track = self.tracks.setdefault(
+                tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
+            )
+            track.add(tracked, frame.timestamp)
+
+
+MAX_GAP_S = 2.0
+"""A person unseen for longer is not assumed to keep a posture."""
+
+PostureLabel = PostureName | Literal["unclear"]
+
+
+@dataclass
+class TrackSummary:
+    """One person over the frames of a video.
+
+    Parameters
+    ----------
+    track_id : int
+        Unique within the video.
+    first_timestamp, last_timestamp : float
+        Seconds.
+    frames : int
+        Frames in which the person was seen.
+    """
+
+    track_id: int
+    first_timestamp: float
+    last_timestamp: float
+    frames: int = 0
+    _posture: PostureLabel | None = None
+    _posture_s: dict[PostureLabel, float] = field(default_factory=dict)
+    _actions: dict[str, float] = field(default_factory=dict)
+    _frames_with_action: int = 0
+
+    def add(self, tracked: TrackedPerson, timestamp: float) -> None:
+        """Add the person's next frame; a posture lasts until then unless the gap is longer."""
+        gap_s = timestamp - self.last_timestamp
+        if self._posture is not None and gap_s <= MAX_GAP_S:
+            self._posture_s[self._posture] = self._posture_s.get(self._posture, 0.0) + gap_s
+        posture = tracked.posture
+        self._posture = posture.label if posture else None
+        if self._posture is not None:
+            self._posture_s.setdefault(self._posture, 0.0)
+        if tracked.action is not None:
+            label, probability = tracked.action.label, tracked.action.probability
+            self._actions[label] = self._actions.get(label, 0.0) + probability
+            self._frames_with_action += 1
+        self.last_timestamp = timestamp
+        self.frames += 1
+
+    def postures(self) -> list[tuple[PostureLabel, float]]:
+        """Return each posture and its seconds, the longest first."""
+        return sorted(self._posture_s.items(), key=lambda item: -item[1])
+
+    def action(self) -> RecognisedAction | None:
+        """Return the action with the largest sum of probabilities, and its mean probability."""
+        if not self._actions:
+            return None
+        label = max(self._actions, key=lambda name: self._actions[name])
+        return RecognisedAction(label, self._actions[label] / self._frames_with_action)

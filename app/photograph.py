@@ -1,4 +1,4 @@
-"""From a frame to people with hypotheses; works on images, independent of HTTP and settings."""
+"""One photograph: decode it, find its people, match each, place the skeletons."""
 
 from __future__ import annotations
 
@@ -10,13 +10,8 @@ import numpy as np
 
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
-from app.estimation.posture import Facing, estimate_posture, vote_posture
-from app.estimation.results import (
-    Estimate,
-    Evidence,
-    Person,
-    ProjectedHypothesis,
-)
+from app.estimation.posture import estimate_posture, vote_posture
+from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
@@ -30,107 +25,6 @@ from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
 from index.matching import DEFAULT_HYPOTHESES, match
 from index.store import PoseIndex
-
-THREADS_PER_PASS = 2
-"""Threads that share a pass of a network with little loss; more do not."""
-
-VOTERS = DEFAULT_HYPOTHESES
-"""Hypotheses that decide posture and facing, however many are requested."""
-
-
-def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
-    """Threads of one pass of a network, and copies of the network, that share the cores.
-
-    Examples
-    --------
-    >>> network_threads(cores=8, concurrency=8)
-    (2, 4)
-    """
-    threads = min(THREADS_PER_PASS, cores)
-    return threads, max(1, min(concurrency, cores // threads))
-
-
-def load_models(concurrency: int, min_person_px: float | None) -> Models:
-    """Load the networks that detect and read people, and the models that judge what was read.
-
-    Parameters
-    ----------
-    concurrency : int
-        Frames processed at once, which share the cores.
-    min_person_px : float or None
-        Height of the smallest person to find, pixels; by default a share of the frame's height.
-
-    Raises
-    ------
-    NetworkError
-        If a file shipped with the package is missing or has been modified.
-    """
-    cores = available_cores()
-    threads, copies = network_threads(cores, concurrency)
-    share = {"threads": threads, "copies": copies}
-    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
-    # Two people read at once take 7 ms each, one after the other 10 ms: threads of one copy wait
-    # for each other after every layer. A copy takes 43 MB; those of the other networks save less.
-    readers = min(concurrency, cores)
-    landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
-    reader = PersonReader(landmarks, KeypointReader(movenet))
-    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
-    detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
-    return Models(detector, reader, load_photograph_models())
-
-
-def normalise_person(person: Person) -> NormalisedPerson | None:
-    """Normalise a person's silhouette; None if there is none."""
-    if person.silhouette is None:
-        return None
-    return NormalisedPerson.of(person.silhouette, person.landmarks)
-
-
-def fit_poses(
-    index: PoseIndex,
-    person: Person,
-    normalised: NormalisedPerson | None,
-    camera: PinholeCamera,
-    n: int,
-) -> Person:
-    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
-    if normalised is None:
-        return person
-    landmarks = normalised.normalised_landmarks()
-    found = match(
-        index,
-        normalised.silhouette,
-        n,
-        landmarks,
-        roll_deg=normalised.roll_deg,
-        whole=normalised.whole,
-    )
-    facing = Facing(found.front_probability, "none" if landmarks is None else "image")
-    hypotheses = found.hypotheses
-    presence = 1.0 if person.presence is None else person.presence
-    confidences = [presence * one.confidence for one in hypotheses]
-    votes = vote_posture([one.posture for one in hypotheses[:VOTERS]], confidences[:VOTERS])
-    posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
-    points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
-    placed = place_skeletons(
-        np.array([one.points_3d for one in hypotheses[:n]]),
-        normalised.points_in_frame(points_normalised),
-        None if landmarks is None else person.landmarks,
-        camera,
-    )
-    projected = []
-    for row, one in enumerate(hypotheses[:n]):
-        label = index.label(one.entry_id, mirrored=one.mirrored)
-        fields = vars(one) | {"confidence": confidences[row], "points_3d": placed.points_3d[row]}
-        projected.append(
-            ProjectedHypothesis(
-                **fields,
-                label=replace(label, roll_deg=one.tilt_deg),
-                points_2d=placed.points_2d[row],
-                pelvis=placed.pelvis[row],
-            )
-        )
-    return replace(person, facing=facing, posture=posture, hypotheses=tuple(projected))
 
 
 class Estimator:
@@ -233,3 +127,104 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
         persons=tuple(job.map(decoded.pixels.person_sent, people)),
         timings_ms=job.timings_ms(),
     )
+
+
+def normalise_person(person: Person) -> NormalisedPerson | None:
+    """Normalise a person's silhouette; None if there is none."""
+    if person.silhouette is None:
+        return None
+    return NormalisedPerson.of(person.silhouette, person.landmarks)
+
+
+_VOTERS = DEFAULT_HYPOTHESES  # They decide the posture, however many are requested.
+
+
+def fit_poses(
+    index: PoseIndex,
+    person: Person,
+    normalised: NormalisedPerson | None,
+    camera: PinholeCamera,
+    n: int,
+) -> Person:
+    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
+    if normalised is None:
+        return person
+    landmarks = normalised.normalised_landmarks()
+    found = match(
+        index,
+        normalised.silhouette,
+        n,
+        landmarks,
+        roll_deg=normalised.roll_deg,
+        whole=normalised.whole,
+    )
+    facing = Facing(found.front_probability, "none" if landmarks is None else "image")
+    hypotheses = found.hypotheses
+    presence = 1.0 if person.presence is None else person.presence
+    confidences = [presence * one.confidence for one in hypotheses]
+    votes = vote_posture([one.posture for one in hypotheses[:_VOTERS]], confidences[:_VOTERS])
+    posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
+    points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
+    placed = place_skeletons(
+        np.array([one.points_3d for one in hypotheses[:n]]),
+        normalised.points_in_frame(points_normalised),
+        None if landmarks is None else person.landmarks,
+        camera,
+    )
+    projected = []
+    for row, one in enumerate(hypotheses[:n]):
+        label = index.label(one.entry_id, mirrored=one.mirrored)
+        fields = vars(one) | {"confidence": confidences[row], "points_3d": placed.points_3d[row]}
+        projected.append(
+            ProjectedHypothesis(
+                **fields,
+                label=replace(label, roll_deg=one.tilt_deg),
+                points_2d=placed.points_2d[row],
+                pelvis=placed.pelvis[row],
+            )
+        )
+    return replace(person, facing=facing, posture=posture, hypotheses=tuple(projected))
+
+
+_THREADS_PER_PASS = 2  # They share a pass of a network with little loss; more do not.
+
+
+def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
+    """Threads of one pass of a network, and copies of the network, that share the cores.
+
+    Examples
+    --------
+    >>> network_threads(cores=8, concurrency=8)
+    (2, 4)
+    """
+    threads = min(_THREADS_PER_PASS, cores)
+    return threads, max(1, min(concurrency, cores // threads))
+
+
+def load_models(concurrency: int, min_person_px: float | None) -> Models:
+    """Load the networks that detect and read people, and the models that judge what was read.
+
+    Parameters
+    ----------
+    concurrency : int
+        Frames processed at once, which share the cores.
+    min_person_px : float or None
+        Height of the smallest person to find, pixels; by default a share of the frame's height.
+
+    Raises
+    ------
+    NetworkError
+        If a file shipped with the package is missing or has been modified.
+    """
+    cores = available_cores()
+    threads, copies = network_threads(cores, concurrency)
+    share = {"threads": threads, "copies": copies}
+    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
+    # Two people read at once take 7 ms each, one after the other 10 ms: threads of one copy wait
+    # for each other after every layer. A copy takes 43 MB; those of the other networks save less.
+    readers = min(concurrency, cores)
+    landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
+    reader = PersonReader(landmarks, KeypointReader(movenet))
+    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
+    detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
+    return Models(detector, reader, load_photograph_models())

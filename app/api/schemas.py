@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
-from app.estimation.posture import FacingSource
-from app.estimation.results import Source
+from app.estimation.results import FacingSource, Source
 from app.vision.images import ImageWarning
 from index.posture import PostureName
 

@@ -54,12 +54,12 @@ class Target:
 
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 
-MARKED: tuple[Source, ...] = ("boxes", "mask")
+_MARKED: tuple[Source, ...] = ("boxes", "mask")
 """Sources in which the caller says who is a person."""
 
 # Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
 # and toes.
-BODY_MARGIN = 0.1
+_BODY_MARGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class PeopleFinder:
         landmarks = evidence == "photograph" and upload.has_frame
         source, targets, cut = self._targets(upload, job)
         people = self.observe(upload, targets, job, source, landmarks=landmarks, cut=cut)
-        if source in MARKED:
+        if source in _MARKED:
             return [person for person in people if person is not None]
         # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
         return [replace(one, box=one.box.joined(one.whole_box)) for one in people if one]
@@ -176,7 +176,7 @@ class PeopleFinder:
         list of Person or None
             One for each target; None where nobody is seen, or a body that another target shows.
         """
-        frame, marked, reads = upload.frame, source in MARKED, landmarks or cut is None
+        frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
         readings = self.read(frame, targets, job) if reads else [None] * len(targets)
         rows = distinct(targets, readings) if reads and not marked else [*range(len(targets))]
         boxes = [_box(targets[row], readings[row]) for row in rows]
@@ -233,7 +233,7 @@ def _box(target: Target, reading: PoseReading | None) -> Box:
     if target.detection is not None or target.expected is None or reading is None:
         return target.box
     box = reading.landmarks.box()
-    margin = BODY_MARGIN * max(box.width, box.height)
+    margin = _BODY_MARGIN * max(box.width, box.height)
     return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
 
 

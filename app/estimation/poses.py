@@ -1,9 +1,10 @@
-"""Skeletons placed in front of the camera, in perspective.
+"""A person on the way to the index and back: normalised for matching, then placed in space.
 
-The index stores skeletons in line-of-sight axes, as if each person stood in the middle of the
-frame, at the size of its own avatars. Here each joint of a hypothesis is put on the line of sight
-of its pixel, at the depth that the hypothesis and the landmarks give it. The result is in the
-camera's axes and has the person's size.
+Silhouette and landmarks are brought into the normalised frame of the index. The index stores
+skeletons in line-of-sight axes, as if each person stood in the middle of the frame, at the size of
+its own avatars. So each joint of a hypothesis is put on the line of sight of its pixel, at the
+depth that the hypothesis and the landmarks give it. The result is in the camera's axes and has the
+person's size.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ _ANKLES = side_rows("ankle", among=LANDMARK_NAMES)
 _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 # Visibility above which a landmark is used for matching.
-MIN_VISIBILITY = 0.05
+_MIN_VISIBILITY = 0.05
 # With fewer landmarks a person is matched by the silhouette alone.
-MIN_LANDMARKS = 4
+_MIN_LANDMARKS = 4
 # Visibility of the more visible ankle, and of the most visible point of the head, of a person seen
 # whole.
-MIN_FEET_VISIBILITY, MIN_HEAD_VISIBILITY = 0.35, 0.2
+_MIN_FEET_VISIBILITY, _MIN_HEAD_VISIBILITY = 0.35, 0.2
 
 
 @dataclass(frozen=True)
@@ -82,16 +83,16 @@ class NormalisedPerson:
         if self.landmarks is None:
             return True
         visibility = self.landmarks.visibility
-        feet_visible = visibility[_ANKLES].max() >= MIN_FEET_VISIBILITY
-        return bool(feet_visible and visibility[_HEAD].max() >= MIN_HEAD_VISIBILITY)
+        feet_visible = visibility[_ANKLES].max() >= _MIN_FEET_VISIBILITY
+        return bool(feet_visible and visibility[_HEAD].max() >= _MIN_HEAD_VISIBILITY)
 
     def normalised_landmarks(self) -> NormalisedLandmarks | None:
         """The landmarks in the normalised frame, for matching; None if too few are visible."""
         if self.landmarks is None:
             return None
         scores = self.landmarks.visibility[_LANDMARKS]
-        used = np.flatnonzero(scores > MIN_VISIBILITY)
-        if len(used) < MIN_LANDMARKS:
+        used = np.flatnonzero(scores > _MIN_VISIBILITY)
+        if len(used) < _MIN_LANDMARKS:
             return None
         to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
         positions = self.landmarks.positions[_LANDMARKS][used]
@@ -108,14 +109,8 @@ class NormalisedPerson:
         return transform_points(self.to_frame, points_normalised)
 
 
-# The eyes and ears of the index are in other places than those of the landmark network.
-_POINT_OF = {
-    name: name
-    for name in LANDMARK_NAMES
-    if name in POINT_NAMES and not name.endswith(("eye", "ear"))
-} | {f"{side}_foot_index": f"{side}_toe" for side in ("left", "right")}
-_SEEN_LANDMARKS = [LANDMARK_NAMES.index(name) for name in _POINT_OF]
-_SEEN_POINTS = np.array([POINT_NAMES.index(name) for name in _POINT_OF.values()])
+# The same points, in the order of the landmarks.
+_SEEN_LANDMARKS, _SEEN_POINTS = np.array(sorted(zip(_LANDMARKS, _POINTS, strict=True))).T
 _HIPS = side_rows("hip")
 _LANDMARK_HIPS = side_rows("hip", among=LANDMARK_NAMES)
 _PELVIS = POINT_NAMES.index("pelvis")
@@ -141,14 +136,14 @@ class PlacedSkeletons:
 
 
 # Visibility below which a landmark does not move a joint.
-MIN_MOVING_VISIBILITY = 0.05
+_MIN_MOVING_VISIBILITY = 0.05
 # Standard deviation of a landmark's depth at which the first hypothesis moves half way to it: the
 # hypothesis has been fitted to the landmarks, so it adds little information.
-HALF_WAY_SD_M = 0.3
+_HALF_WAY_SD_M = 0.3
 # Limits of the person's size relative to a hypothesis.
-SIZES = (0.8, 1.25)
+_SIZES = (0.8, 1.25)
 # Least forward component of a joint's line of sight, and its least distance.
-MIN_FORWARD, MIN_DISTANCE_M = 0.05, 0.1
+_MIN_FORWARD, _MIN_DISTANCE_M = 0.05, 0.1
 
 
 def place_skeletons(
@@ -177,7 +172,7 @@ def place_skeletons(
         # A mask may be a crop: nothing shows where the optical axis is, unless the caller says so.
         return placed if camera.given else replace(placed, points_3d=points_3d)
     visibility = landmarks.visibility[_SEEN_LANDMARKS]
-    visible = np.where(visibility > MIN_MOVING_VISIBILITY, visibility, 0.0)
+    visible = np.where(visibility > _MIN_MOVING_VISIBILITY, visibility, 0.0)
     weights = np.maximum(visible, 1e-3)
     seen = landmarks.positions[_SEEN_LANDMARKS]
     line = to_line_of_sight(camera.rays(landmarks.positions[_LANDMARK_HIPS].mean(axis=0)))
@@ -191,15 +186,15 @@ def place_skeletons(
     size = (weights[:, None] * metres * shown).sum(axis=(1, 2)) / (weights[:, None] * shown**2).sum(
         axis=(1, 2)
     )
-    depths = np.clip(size, *SIZES)[:, None] * about_hips[..., 2]
-    reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / HALF_WAY_SD_M) ** 2)
+    depths = np.clip(size, *_SIZES)[:, None] * about_hips[..., 2]
+    reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / _HALF_WAY_SD_M) ** 2)
     depths[0, _SEEN_POINTS] += reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
     pixels = points_2d.copy()
     pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
     lines = camera.rays(pixels) @ line.T
-    lines = lines / np.maximum(lines[..., 2:], MIN_FORWARD)
+    lines = lines / np.maximum(lines[..., 2:], _MIN_FORWARD)
     return _about_pelvis(
-        lines * np.maximum(depth + depths, MIN_DISTANCE_M)[..., None] @ line, pixels
+        lines * np.maximum(depth + depths, _MIN_DISTANCE_M)[..., None] @ line, pixels
     )
 
 

@@ -1,13 +1,14 @@
-"""Probability of each posture of a person, from landmarks and from votes of hypotheses.
+"""The probability of each posture of a person, in a frame and over time.
 
-Each hypothesis has a posture by the rules of :mod:`index.posture` and votes with its confidence. If
-there are landmarks, a model trained on rendered people gives the probabilities of six postures
-(:mod:`app.vision.judgement`), and the votes only split those into finer ones. Without
-landmarks, the probability of the votes is calibrated.
+Rules name the posture of every hypothesis (:mod:`index.posture`), which votes with its confidence.
+Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`). Of a frame with
+landmarks, the six decide, and the votes split them into finer ones; without landmarks, the shares
+of the votes are calibrated. Over the frames of a track, both are averaged.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
@@ -15,28 +16,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.geometry import Box
 from app.vision.judgement import FramePosture
 from app.vision.models import fitted_constants
 from app.vision.odds import log_odds, probability_of
 from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName
-
-FacingSource = Literal["image", "motion", "none"]
-
-
-@dataclass(frozen=True)
-class Facing:
-    """How likely it is that the camera sees a person from the front.
-
-    Parameters
-    ----------
-    evidence : str
-        ``image``: the photograph; ``motion``: the direction of walking; ``none``: only the
-        hypotheses themselves.
-    """
-
-    front_probability: float
-    evidence: FacingSource
-
 
 GROUPS: tuple[tuple[PostureName, ...], ...] = (
     ON_THE_GROUND,
@@ -65,7 +49,7 @@ MIN_PROBABILITY = 0.5
 
 # Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
 # above 0.8 from a confidence of 0.2.
-CONFIDENCE_SLOPE = 1.5
+_CONFIDENCE_SLOPE = 1.5
 
 # Share given to every posture for which no hypothesis votes.
 _MIN_VOTE = 1e-3
@@ -164,7 +148,7 @@ def likeliest_posture(
     sums = [float(shares[members].sum()) for members in _MEMBERS]
     best_group = int(np.argmax(sums))
     best = int(np.where(_MEMBERS[best_group], shares, -1.0).argmax())
-    limit = MIN_PROBABILITY + CONFIDENCE_SLOPE * confidence
+    limit = MIN_PROBABILITY + _CONFIDENCE_SLOPE * confidence
     probability = min(presence * sums[best_group], limit)
     label = POSTURES[best] if probability >= MIN_PROBABILITY else "unclear"
     return EstimatedPosture(label, probability, shares)
@@ -192,3 +176,80 @@ def group_probability(share: float) -> float:
     """Calibrated probability that a group of postures with this share is right."""
     constants = fitted_constants("posture")
     return probability_of(constants["slope"] * log_odds(share) + constants["offset"])
+
+
+_LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
+
+
+# Time constant with which the posture follows the frames.
+_SETTLING_S = 0.4
+# Longest gap that counts: after a longer one, the newest frame has no more weight.
+_MAX_STEP_S = 1.0
+# Width over height of a box from which its person is likely lying, and the exponent of that ratio
+# in the odds.
+_WIDE_FROM, _WIDE_SLOPE = 1.2, 3.0
+
+
+class PostureFilter:
+    """Averages the postures of a track's frames; the newest has the most weight."""
+
+    def __init__(self) -> None:
+        self._shares: NDArray[np.float64] | None = None
+        self._presence = 1.0
+        self._last_at = -math.inf
+
+    def update(
+        self,
+        timestamp: float,
+        votes: NDArray[np.float64],
+        frame_posture: FramePosture | None,
+        presence: float,
+        box: Box,
+        weight: float = 1.0,
+    ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
+        """Add a frame.
+
+        Parameters
+        ----------
+        timestamp : float
+            Seconds, later than that of the previous frame.
+        votes : (10,) float64 array
+            Share of each of ``POSTURES`` in the hypotheses of this frame.
+        frame_posture : FramePosture or None
+            Posture from the landmarks; None if none were read.
+        presence : float
+            Probability that the landmarks are a person's.
+        box : Box
+            Box of the person.
+        weight : float
+            Weight of the frame, 0 to 1.
+
+        Returns
+        -------
+        posture : EstimatedPosture
+            Posture of the track.
+        shares : (10,) float64 array
+            Shares of this frame alone.
+        """
+        shares = votes
+        if frame_posture is not None:
+            # If the network does not recognise the person, only the shape of the box shows lying.
+            lying = self._wide(box) * _LYING
+            shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying
+            shares = shares + (1 - shares.sum()) * votes
+        if self._shares is None:
+            self._shares, self._presence = shares, presence
+        else:
+            elapsed = weight * min(timestamp - self._last_at, _MAX_STEP_S)
+            kept = math.exp(-elapsed / _SETTLING_S)
+            self._shares = kept * self._shares + (1 - kept) * shares
+            self._presence = kept * self._presence + (1 - kept) * presence
+        self._last_at = timestamp
+        if frame_posture is None:
+            return posture_of(self._shares, self._presence), shares
+        return likeliest_posture(self._shares, self._presence), shares
+
+    def _wide(self, box: Box) -> float:
+        """Probability that the person in a box lies, from its shape alone."""
+        narrowness = _WIDE_FROM * box.height / box.width
+        return float(1 / (1 + narrowness**_WIDE_SLOPE))

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, Facing
+from app.estimation.posture import EstimatedPosture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
@@ -23,6 +23,18 @@ background, or where a track expected them."""
 
 Evidence = Literal["photograph", "silhouette"]
 """What poses are estimated from: silhouette and landmarks, or the silhouette alone."""
+
+FacingSource = Literal["image", "motion", "none"]
+"""What shows which way a person faces: the photograph, the direction of walking, or only the
+hypotheses themselves."""
+
+
+@dataclass(frozen=True)
+class Facing:
+    """How likely it is that the camera sees a person from the front."""
+
+    front_probability: float
+    evidence: FacingSource
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Uploads: images, masks and boxes, decoded and validated."""
+"""Uploads: images, masks and boxes are decoded, validated, and resized to square pixels."""
 
 from __future__ import annotations
 
@@ -30,126 +30,22 @@ Pixels = TypeVar("Pixels", bound=NDArray[Any])
 AnyPerson = TypeVar("AnyPerson", bound=Person)
 
 
-@dataclass(frozen=True)
-class SquarePixels:
-    """How a frame was resized so that its pixels are square.
-
-    Parameters
-    ----------
-    sent, square : (int, int)
-        Height and width of the frame as sent, and with square pixels.
-    """
-
-    sent: tuple[int, int]
-    square: tuple[int, int]
-
-    @classmethod
-    def of_frame(cls, frame_shape: tuple[int, ...], pixel_aspect: float) -> SquarePixels:
-        """Widen or heighten a frame, so that no detail is lost.
-
-        Parameters
-        ----------
-        frame_shape : tuple of int
-            Height and width first.
-        pixel_aspect : float
-            Width over height of a pixel.
-
-        Examples
-        --------
-        >>> SquarePixels.of_frame((1080, 960), 2.0).square
-        (1080, 1920)
-        """
-        height, width = frame_shape[:2]
-        square = (
-            round(height * max(1.0, 1 / pixel_aspect)),
-            round(width * max(1.0, pixel_aspect)),
-        )
-        return cls((height, width), square)
-
-    @property
-    def changes(self) -> bool:
-        """Whether the frame has to be resized at all."""
-        return self.sent != self.square
-
-    @property
-    def scale(self) -> NDArray[np.float64]:
-        """Square pixels ``(2,)`` across and down for each pixel as sent."""
-        return np.asarray(np.array(self.square[::-1]) / np.array(self.sent[::-1]))
-
-    def resize(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:
-        """Resize an image ``(H, W, ...)`` to square pixels."""
-        if not self.changes:
-            return image
-        resized = cv2.resize(image, self.square[::-1], interpolation=interpolation)
-        return cast(Pixels, resized)
-
-    def points(self, sent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` of the frame as sent, in square pixels."""
-        return np.asarray((sent + 0.5) * self.scale - 0.5) if self.changes else sent
-
-    def points_sent(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` in square pixels, in pixels of the frame as sent."""
-        return np.asarray((square + 0.5) / self.scale - 0.5) if self.changes else square
-
-    def boxes(self, sent: Sequence[Box]) -> list[Box]:
-        """Boxes of the frame as sent, in square pixels."""
-        return [_between(*self.points(_corners(box))) for box in sent] if self.changes else [*sent]
-
-    def person_sent(self, person: AnyPerson) -> AnyPerson:
-        """A person found in square pixels, in pixels of the frame as sent, for answers only.
-
-        The window for the next frame stays in square pixels, since it is read in them.
-        """
-        if not self.changes:
-            return person
-        landmarks = person.landmarks and replace(
-            person.landmarks, positions=self.points_sent(person.landmarks.positions)
-        )
-        silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
-        box = _between(*self.points_sent(_corners(person.box)))
-        hypotheses = tuple(
-            replace(one, points_2d=self.points_sent(one.points_2d)) for one in person.hypotheses
-        )
-        return replace(
-            person, box=box, silhouette=silhouette, landmarks=landmarks, hypotheses=hypotheses
-        )
-
-    def _silhouette_sent(self, silhouette: Silhouette) -> Silhouette | None:
-        mask = silhouette.mask(self.square).view(np.uint8)
-        sent = cv2.resize(mask, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
-        if not sent.any():
-            # The silhouette is narrower than a pixel of the frame as sent.
-            column, row = self.points_sent(silhouette.centroid).round().astype(int).tolist()
-            sent[min(max(row, 0), self.sent[0] - 1), min(max(column, 0), self.sent[1] - 1)] = True
-        return silhouette_from_mask(
-            sent, segmenter=silhouette.segmenter, truncated=silhouette.truncated
-        )
-
-
-def _corners(box: Box) -> NDArray[np.float64]:
-    return np.array([[box.x, box.y], [box.right, box.bottom]])
-
-
-def _between(first: NDArray[np.float64], last: NDArray[np.float64]) -> Box:
-    return Box.from_edges(*first.tolist(), *last.tolist())
-
-
 T = TypeVar("T")
 
-MAX_FRAMES_OF_PEOPLE = 4
+_MAX_FRAMES_OF_PEOPLE = 4
 """A caller's boxes may together cover this many times the area of the largest frame. The boxes of a
 crowd overlap less, and the work on people grows with their pixels."""
 
 MIN_BOX_PX = 0.01
 """Shortest side of a caller's box: a unit of the last digit of a reply."""
 
-MIN_FIGURE_SHARE = 0.25
+_MIN_FIGURE_SHARE = 0.25
 """Area of the smallest part of a mask that may be a person, as a share of the largest part's."""
 
-MIN_FIGURE_PX = 48
+_MIN_FIGURE_PX = 48
 """Height of the smallest part of a mask that may be a person."""
 
-MIN_GAP_SHARE = 0.5
+_MIN_GAP_SHARE = 0.5
 """Parts of a mask are different people if the gap between them is wider than this share of the
 narrower one."""
 
@@ -362,7 +258,7 @@ class UploadDecoder:
 
     def _check_area(self, name: str, boxes: Sequence[Box]) -> None:
         """Bound the work on people, which grows with the pixels of their boxes."""
-        most, area = MAX_FRAMES_OF_PEOPLE * self.max_pixels, sum(box.area for box in boxes)
+        most, area = _MAX_FRAMES_OF_PEOPLE * self.max_pixels, sum(box.area for box in boxes)
         if area > most:
             raise UploadError(
                 name,
@@ -393,7 +289,7 @@ def _check_together(mask: LabelImage) -> None:
     marked = np.asarray(mask.part != 0).view(np.uint8)
     stats = cv2.connectedComponentsWithStats(marked)[2][1:]
     areas = stats[:, cv2.CC_STAT_AREA]
-    large = stats[areas >= MIN_FIGURE_SHARE * areas.max()]
+    large = stats[areas >= _MIN_FIGURE_SHARE * areas.max()]
     apart = 1 + _gaps_between_people(large[np.argsort(large[:, cv2.CC_STAT_LEFT], kind="stable")])
     if apart > 1:
         raise UploadError(
@@ -411,9 +307,9 @@ def _gaps_between_people(parts: NDArray[np.int32]) -> int:
     """
     left, width, height = (parts[:, column] for column in (0, 2, 3))
     small = np.minimum(height[:-1], height[1:])
-    alike = (small >= MIN_FIGURE_PX) & (np.maximum(height[:-1], height[1:]) < 2 * small)
+    alike = (small >= _MIN_FIGURE_PX) & (np.maximum(height[:-1], height[1:]) < 2 * small)
     gap = left[1:] - (left + width)[:-1]
-    wide = gap > MIN_GAP_SHARE * np.minimum(width[:-1], width[1:])
+    wide = gap > _MIN_GAP_SHARE * np.minimum(width[:-1], width[1:])
     return int(np.count_nonzero(alike & wide))
 
 
@@ -429,3 +325,107 @@ def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
         f"expected boxes {thin}inside the frame of {width}x{height} pixels, "
         f"got box {position}: {[box.x, box.y, box.width, box.height]}",
     )
+
+
+@dataclass(frozen=True)
+class SquarePixels:
+    """How a frame was resized so that its pixels are square.
+
+    Parameters
+    ----------
+    sent, square : (int, int)
+        Height and width of the frame as sent, and with square pixels.
+    """
+
+    sent: tuple[int, int]
+    square: tuple[int, int]
+
+    @classmethod
+    def of_frame(cls, frame_shape: tuple[int, ...], pixel_aspect: float) -> SquarePixels:
+        """Widen or heighten a frame, so that no detail is lost.
+
+        Parameters
+        ----------
+        frame_shape : tuple of int
+            Height and width first.
+        pixel_aspect : float
+            Width over height of a pixel.
+
+        Examples
+        --------
+        >>> SquarePixels.of_frame((1080, 960), 2.0).square
+        (1080, 1920)
+        """
+        height, width = frame_shape[:2]
+        square = (
+            round(height * max(1.0, 1 / pixel_aspect)),
+            round(width * max(1.0, pixel_aspect)),
+        )
+        return cls((height, width), square)
+
+    @property
+    def changes(self) -> bool:
+        """Whether the frame has to be resized at all."""
+        return self.sent != self.square
+
+    @property
+    def scale(self) -> NDArray[np.float64]:
+        """Square pixels ``(2,)`` across and down for each pixel as sent."""
+        return np.asarray(np.array(self.square[::-1]) / np.array(self.sent[::-1]))
+
+    def resize(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:
+        """Resize an image ``(H, W, ...)`` to square pixels."""
+        if not self.changes:
+            return image
+        resized = cv2.resize(image, self.square[::-1], interpolation=interpolation)
+        return cast(Pixels, resized)
+
+    def points(self, sent: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points ``(..., 2)`` of the frame as sent, in square pixels."""
+        return np.asarray((sent + 0.5) * self.scale - 0.5) if self.changes else sent
+
+    def points_sent(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points ``(..., 2)`` in square pixels, in pixels of the frame as sent."""
+        return np.asarray((square + 0.5) / self.scale - 0.5) if self.changes else square
+
+    def boxes(self, sent: Sequence[Box]) -> list[Box]:
+        """Boxes of the frame as sent, in square pixels."""
+        return [_between(*self.points(_corners(box))) for box in sent] if self.changes else [*sent]
+
+    def person_sent(self, person: AnyPerson) -> AnyPerson:
+        """A person found in square pixels, in pixels of the frame as sent, for answers only.
+
+        The window for the next frame stays in square pixels, since it is read in them.
+        """
+        if not self.changes:
+            return person
+        landmarks = person.landmarks and replace(
+            person.landmarks, positions=self.points_sent(person.landmarks.positions)
+        )
+        silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
+        box = _between(*self.points_sent(_corners(person.box)))
+        hypotheses = tuple(
+            replace(one, points_2d=self.points_sent(one.points_2d)) for one in person.hypotheses
+        )
+        return replace(
+            person, box=box, silhouette=silhouette, landmarks=landmarks, hypotheses=hypotheses
+        )
+
+    def _silhouette_sent(self, silhouette: Silhouette) -> Silhouette | None:
+        mask = silhouette.mask(self.square).view(np.uint8)
+        sent = cv2.resize(mask, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        if not sent.any():
+            # The silhouette is narrower than a pixel of the frame as sent.
+            column, row = self.points_sent(silhouette.centroid).round().astype(int).tolist()
+            sent[min(max(row, 0), self.sent[0] - 1), min(max(column, 0), self.sent[1] - 1)] = True
+        return silhouette_from_mask(
+            sent, segmenter=silhouette.segmenter, truncated=silhouette.truncated
+        )
+
+
+def _corners(box: Box) -> NDArray[np.float64]:
+    return np.array([[box.x, box.y], [box.right, box.bottom]])
+
+
+def _between(first: NDArray[np.float64], last: NDArray[np.float64]) -> Box:
+    return Box.from_edges(*first.tolist(), *last.tolist())

@@ -29,10 +29,10 @@ from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
 MODEL = Path(__file__).parent / "models" / "actions.json"
 
-EVERYDAY = ("lie", "sit", "stand", "walk", "run")
+_EVERYDAY = ("lie", "sit", "stand", "walk", "run")
 """Actions that are likelier than exercises if the motion of limbs is not seen."""
 
-SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
+_SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
     "lie": ON_THE_GROUND,
     "sit": ("sitting",),
     "squat": ("crouching", "kneeling", "sitting", "bending"),
@@ -42,12 +42,12 @@ SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
 }
 """Postures in which an action is seen; all other actions have those of ``ON_THE_SPOT``."""
 
-ON_THE_SPOT: tuple[PostureName, ...] = ("standing", "arms_raised", "bending")
+_ON_THE_SPOT: tuple[PostureName, ...] = ("standing", "arms_raised", "bending")
 
 RATE_HZ = 10.0
 """Poses a second from which features are computed."""
 
-SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
+_SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
 """Metres a second: on the spot, shifting, walking, and faster than a walk. With these bands a
 linear model can recognise walking, which is a range of speeds."""
 
@@ -105,7 +105,7 @@ MIN_VOTE = 0.02
 """Share of the votes for an action that no hypothesis shows."""
 
 # Log odds of everyday actions against exercises if the motion of limbs is not seen.
-EVERYDAY_LOG_ODDS = math.log(10)
+_EVERYDAY_LOG_ODDS = math.log(10)
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class ActionModel:
         (..., A) float64 array
             Probabilities.
         """
-        everyday = EVERYDAY_LOG_ODDS * np.isin(self.actions, EVERYDAY)
+        everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
         odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
         odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
@@ -198,13 +198,13 @@ WINDOW_S = 3.0
 """Motion from which an action is recognised."""
 
 # The shortest motion that suffices.
-MIN_WINDOW_S = 1.0
+_MIN_WINDOW_S = 1.0
 # Time between two results: what people do changes slowly.
-EVERY_S = 0.5
+_EVERY_S = 0.5
 # Poses closer together only add memory: motion is sampled at 10 Hz.
-MIN_STEP_S = 1 / 40
+_MIN_STEP_S = 1 / 40
 # After a longer gap without a pose the window starts afresh.
-MAX_GAP_S = 1.0
+_MAX_GAP_S = 1.0
 FULL_WEIGHT_PX = LANDMARK_PX
 """Height from which limbs' motion counts in full."""
 
@@ -250,19 +250,19 @@ class ActionRecogniser:
             None until the person has been seen for a second, and if no action is likely.
         """
         self._add_sample(timestamp, person, smoothed)
-        if timestamp - self._window[0][0].timestamp < MIN_WINDOW_S:
+        if timestamp - self._window[0][0].timestamp < _MIN_WINDOW_S:
             return None
-        if timestamp - self._last_at >= EVERY_S:
+        if timestamp - self._last_at >= _EVERY_S:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
     def _add_sample(self, timestamp: float, person: Person, smoothed: Smoothed) -> None:
         """Extend the window by a frame, or begin a new one after a gap."""
         elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
-        if elapsed > MAX_GAP_S:
+        if elapsed > _MAX_GAP_S:
             self._window.clear()
             self._last_result = None
-        if elapsed >= MIN_STEP_S:
+        if elapsed >= _MIN_STEP_S:
             sample = PoseSample.of(timestamp, smoothed)
             self._window.append((sample, self._model.votes(person.hypotheses)))
         while timestamp - self._window[0][0].timestamp > WINDOW_S:
@@ -287,13 +287,13 @@ class ActionRecogniser:
 
 
 # Factor of an action that the posture of the moment contradicts.
-MIN_POSTURE = 0.1
+_MIN_POSTURE = 0.1
 
 
 def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArray[np.float64]:
     """Factors ``(A,)`` that say how well each action agrees with a posture."""
-    shown = [posture.share(SHOWN_BY.get(action, ON_THE_SPOT)) for action in actions]
-    return MIN_POSTURE + np.array(shown)
+    shown = [posture.share(_SHOWN_BY.get(action, _ON_THE_SPOT)) for action in actions]
+    return _MIN_POSTURE + np.array(shown)
 
 
 def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
@@ -421,6 +421,6 @@ def _travel(path: NDArray[np.float64]) -> NDArray[np.float64]:
     steps = RATE_HZ * np.diff(path, axis=0)
     speed = np.linalg.norm(steps.mean(axis=0))
     return np.array([
-        speed, *(np.clip(speed, low, high) - low for low, high in SPEED_BANDS),
+        speed, *(np.clip(speed, low, high) - low for low, high in _SPEED_BANDS),
         np.linalg.norm(steps, axis=1).mean(), *np.abs(steps).mean(axis=0), steps[:, 1].std(),
     ])  # fmt: skip

@@ -9,16 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, likeliest_posture, posture_of, shares_of
 from app.tracking.results import Event, EventName, EventState
-from app.vision.geometry import Box
-from app.vision.judgement import FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 # Time constant of the low-pass filter over the frames.
-SETTLING_S = 0.5
+_SETTLING_S = 0.5
 # Filtered probability at which something begins, and below which it ends.
-BEGINS_FROM, ENDS_BELOW = 0.5, 0.2
+_BEGINS_FROM, _ENDS_BELOW = 0.5, 0.2
 
 
 class _Hysteresis:
@@ -31,12 +28,12 @@ class _Hysteresis:
 
     def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
         """Add a frame that counts for ``seconds``; return the change of state, if any."""
-        kept = math.exp(-seconds / SETTLING_S)
+        kept = math.exp(-seconds / _SETTLING_S)
         self.level = kept * self.level + (1 - kept) * probability
-        if not self.holds and self.level >= BEGINS_FROM:
+        if not self.holds and self.level >= _BEGINS_FROM:
             self.holds, self.since = True, timestamp
             return "begin"
-        if self.holds and self.level < ENDS_BELOW:
+        if self.holds and self.level < _ENDS_BELOW:
             self.holds = False
             return "end"
         return None
@@ -59,7 +56,7 @@ class Reliability:
 
 
 # Elevation of a camera up to which a drop is corrected for looking shorter from above.
-MAX_ELEVATION_DEG = 60.0
+_MAX_ELEVATION_DEG = 60.0
 
 
 @dataclass(frozen=True)
@@ -80,18 +77,18 @@ class HipHeight:
     @classmethod
     def seen(cls, y_px: float, px_per_m: float, elevation_deg: float) -> HipHeight:
         """The height seen by a camera at an elevation, which foreshortens vertical metres."""
-        angle = math.radians(min(abs(elevation_deg), MAX_ELEVATION_DEG))
+        angle = math.radians(min(abs(elevation_deg), _MAX_ELEVATION_DEG))
         return cls(y_px, px_per_m * math.cos(angle))
 
 
 # A fall from standing, from a chair or out of bed takes the hips down by this many metres within so
 # many seconds. Bending hardly moves them; people who go to bed lower them by 0.2 m.
-MIN_DROP_M, DROP_WITHIN_S = 0.4, 1.5
+_MIN_DROP_M, _DROP_WITHIN_S = 0.4, 1.5
 # Share of the drop by which the hips stay down: after a jump, they come up again.
-KEPT_DROP = 0.6
+_KEPT_DROP = 0.6
 # Filtered probability of being on the ground that a fall needs after such a drop, its reduction for
 # every further metre, and its minimum: hips lower than a seat can only be on the ground.
-MIN_ON_GROUND, ON_GROUND_PER_M, MIN_ON_GROUND_AFTER_DEEP_DROP = 0.5, 1.0, 0.3
+_MIN_ON_GROUND, _ON_GROUND_PER_M, _MIN_ON_GROUND_AFTER_DEEP_DROP = 0.5, 1.0, 0.3
 
 
 class DropDetector:
@@ -109,33 +106,33 @@ class DropDetector:
     def update(self, timestamp: float, hips: HipHeight) -> None:
         """Add the position of the hips in a frame."""
         self._recent.append((timestamp, hips))
-        while self._recent[0][0] < timestamp - DROP_WITHIN_S:
+        while self._recent[0][0] < timestamp - _DROP_WITHIN_S:
             self._recent.popleft()
         px_per_m = float(np.median([one.px_per_m for _, one in self._recent]))
         top_px = min(one.y_px for _, one in self._recent)
-        drops = hips.y_px - top_px >= MIN_DROP_M * px_per_m
+        drops = hips.y_px - top_px >= _MIN_DROP_M * px_per_m
         if drops:
             if not self._drops:
                 self.dropped_at, self._top_px = timestamp, top_px
-            self._bottom_px = max(hips.y_px, self._top_px + MIN_DROP_M * px_per_m)
+            self._bottom_px = max(hips.y_px, self._top_px + _MIN_DROP_M * px_per_m)
             self._drop_m = (hips.y_px - self._top_px) / px_per_m
         elif self.dropped_at is not None:
-            kept_px = KEPT_DROP * (self._bottom_px - self._top_px)
+            kept_px = _KEPT_DROP * (self._bottom_px - self._top_px)
             if hips.y_px - self._top_px < kept_px:
                 self.dropped_at = None
         self._drops = drops
 
     def min_on_ground(self) -> float:
         """Probability of being on the ground from which the last drop is a fall."""
-        deeper_m = max(0.0, self._drop_m - MIN_DROP_M)
-        needed = MIN_ON_GROUND - ON_GROUND_PER_M * deeper_m
-        return max(MIN_ON_GROUND_AFTER_DEEP_DROP, needed)
+        deeper_m = max(0.0, self._drop_m - _MIN_DROP_M)
+        needed = _MIN_ON_GROUND - _ON_GROUND_PER_M * deeper_m
+        return max(_MIN_ON_GROUND_AFTER_DEEP_DROP, needed)
 
 
 # Most time that a single frame counts for: just too short to begin an event.
-MAX_STEP_S = 0.34
+_MAX_STEP_S = 0.34
 # Longest time from a drop to the probability of being on the ground that makes it a fall.
-DOWN_WITHIN_S = 2.5
+_DOWN_WITHIN_S = 2.5
 STAYS_DOWN_S = 0.5
 """Time on the ground after the drop before a fall is reported."""
 
@@ -180,7 +177,7 @@ class EventDetector:
         rests : bool
             Whether the person is in a zone for resting, where lying is no event.
         """
-        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
+        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
         step = reliability.body * elapsed
         self._last_at = timestamp
 
@@ -211,104 +208,27 @@ class EventDetector:
         return tuple(
             Event(name, track_id, "unconfirmed", self._last_at or 0.0, level)
             for name, level in shown.items()
-            if level >= ENDS_BELOW
+            if level >= _ENDS_BELOW
         )
 
     def _may_have_fallen(self) -> bool:
         dropped_at = self._drop.dropped_at
         if self._fallen or self._last_at is None or dropped_at is None:
             return False
-        return self._down_s > 0 or self._last_at - dropped_at <= DOWN_WITHIN_S
+        return self._down_s > 0 or self._last_at - dropped_at <= _DOWN_WITHIN_S
 
     def _fell(self, timestamp: float, elapsed: float) -> bool:
         """Whether a fall has become certain; true only once until the person is up again."""
         drop, level = self._drop, self._down.level
-        if level < ENDS_BELOW:
+        if level < _ENDS_BELOW:
             self._fallen = False
         if drop.dropped_at is None or level < drop.min_on_ground():
             self._down_s = 0.0
             return False
-        if self._down_s == 0.0 and timestamp - drop.dropped_at > DOWN_WITHIN_S:
+        if self._down_s == 0.0 and timestamp - drop.dropped_at > _DOWN_WITHIN_S:
             return False
         self._down_s += elapsed
         if self._fallen or self._down_s < STAYS_DOWN_S:
             return False
         self._fallen = True
         return True
-
-
-_LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
-
-
-# Time constant with which the posture follows the frames.
-POSTURE_SETTLING_S = 0.4
-# Longest gap that counts: after a longer one, the newest frame has no more weight.
-MAX_POSTURE_STEP_S = 1.0
-# Width over height of a box from which its person is likely lying, and the exponent of that ratio
-# in the odds.
-WIDE_FROM, WIDE_SLOPE = 1.2, 3.0
-
-
-class PostureFilter:
-    """Averages the postures of a track's frames; the newest has the most weight."""
-
-    def __init__(self) -> None:
-        self._shares: NDArray[np.float64] | None = None
-        self._presence = 1.0
-        self._last_at = -math.inf
-
-    def update(
-        self,
-        timestamp: float,
-        votes: NDArray[np.float64],
-        frame_posture: FramePosture | None,
-        presence: float,
-        box: Box,
-        weight: float = 1.0,
-    ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
-        """Add a frame.
-
-        Parameters
-        ----------
-        timestamp : float
-            Seconds, later than that of the previous frame.
-        votes : (10,) float64 array
-            Share of each of ``POSTURES`` in the hypotheses of this frame.
-        frame_posture : FramePosture or None
-            Posture from the landmarks; None if none were read.
-        presence : float
-            Probability that the landmarks are a person's.
-        box : Box
-            Box of the person.
-        weight : float
-            Weight of the frame, 0 to 1.
-
-        Returns
-        -------
-        posture : EstimatedPosture
-            Posture of the track.
-        shares : (10,) float64 array
-            Shares of this frame alone.
-        """
-        shares = votes
-        if frame_posture is not None:
-            # If the network does not recognise the person, only the shape of the box shows lying.
-            lying = self._wide(box) * _LYING
-            shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying
-            shares = shares + (1 - shares.sum()) * votes
-        if self._shares is None:
-            self._shares, self._presence = shares, presence
-        else:
-            elapsed = weight * min(timestamp - self._last_at, MAX_POSTURE_STEP_S)
-            kept = math.exp(-elapsed / POSTURE_SETTLING_S)
-            self._shares = kept * self._shares + (1 - kept) * shares
-            self._presence = kept * self._presence + (1 - kept) * presence
-        self._last_at = timestamp
-        if frame_posture is None:
-            return posture_of(self._shares, self._presence), shares
-        return likeliest_posture(self._shares, self._presence), shares
-
-    def _wide(self, box: Box) -> float:
-        """Probability that the person in a box lies, from its shape alone."""
-        narrowness = WIDE_FROM * box.height / box.width
-        return float(1 / (1 + narrowness**WIDE_SLOPE))

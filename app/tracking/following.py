@@ -26,9 +26,9 @@ SEARCH_EVERY_S = 0.4
 """Time between two searches of the whole frame."""
 
 # A track's window is read for this long after a sighting.
-WINDOW_LASTS_S = 0.5
+_WINDOW_LASTS_S = 0.5
 # Overlap of a detection with the predicted box of its track.
-MIN_TRACK_IOU = 0.3
+_MIN_TRACK_IOU = 0.3
 
 Expected = Mapping[Track, PersonWindow | PoseReading]
 """Windows in which tracks expect their people, or the readings in them."""
@@ -86,7 +86,7 @@ class TrackedPeopleDetector:
         lost track that was not confirmed, or whose person has left the frame, does not cause a
         search before the next one is due.
         """
-        recent = [track for track in tracks if timestamp - track.seen_at <= WINDOW_LASTS_S]
+        recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
         expected: Expected = {one: one.next_window for one in recent if one.next_window}
         people = [track for track in tracks if track.track_id is not None]
         lost = [track for track in people if track.seen_at < self._read_at]
@@ -104,7 +104,7 @@ class TrackedPeopleDetector:
         for one in found:
             overlap = {track: track.box_filter.predict(timestamp).iou(one.box) for track in unseen}
             track = max(overlap, key=lambda other: overlap[other], default=None)
-            same = track is not None and overlap[track] >= MIN_TRACK_IOU
+            same = track is not None and overlap[track] >= _MIN_TRACK_IOU
             window = unseen.pop(track) if same and track else None
             targets.append((Target(one.box, one.score, one, window), None))
         return targets + _followed(unseen, timestamp)

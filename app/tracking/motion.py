@@ -1,7 +1,9 @@
-"""Headings over time: a Bayes filter on the circle of azimuths.
+"""How a person moves over the ground, and which way they face.
 
-Single frames confuse front and back, or left and right, above all for people who are small or seen
-from the side. People turn gradually, and mostly walk in the direction they face.
+The velocity follows from the box and the camera's elevation. The heading is followed by a Bayes
+filter on the circle of azimuths: single frames confuse front and back, or left and right, above all
+for people who are small or seen from the side; but people turn gradually, and mostly walk in the
+direction they face.
 """
 
 from __future__ import annotations
@@ -44,13 +46,13 @@ STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
 # Time over which a velocity is measured, and the fewest frames for it.
-WINDOW_S, MIN_FRAMES = 1.0, 3
+_WINDOW_S, _MIN_FRAMES = 1.0, 3
 # Least elevation for a velocity, whose direction matters, and its least sine for the path from
 # which actions are recognised, in which noise must not look like steps.
-MIN_ELEVATION_DEG, MIN_PATH_SINE = 6.0, 0.35
+_MIN_ELEVATION_DEG, _MIN_PATH_SINE = 6.0, 0.35
 # Elevation from which steps away from the camera count in full for the speed: seen by a lower
 # camera, they hardly change the height in the picture.
-RELIABLE_ELEVATION_DEG = 20.0
+_RELIABLE_ELEVATION_DEG = 20.0
 
 
 class GroundMotion:
@@ -88,19 +90,19 @@ class GroundMotion:
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
         self._recent.append((timestamp, box.x + box.width / 2, box.y + box.height / 2, px_per_m))
-        while self._recent[0][0] < timestamp - WINDOW_S:
+        while self._recent[0][0] < timestamp - _WINDOW_S:
             self._recent.popleft()
-        if len(self._recent) < MIN_FRAMES:
+        if len(self._recent) < _MIN_FRAMES:
             return STILL
         times, x, y, scales = np.array(self._recent).T
         times = times - times.mean()
         # A frame that is sent again has the same time.
         metres_per_px = 1 / (np.median(scales) * max(float(times @ times), 1e-6))
         rise = np.sin(np.deg2rad(self.elevation_deg))
-        min_rise = np.sin(np.deg2rad(MIN_ELEVATION_DEG))
+        min_rise = np.sin(np.deg2rad(_MIN_ELEVATION_DEG))
         rise = np.copysign(max(abs(rise), min_rise), rise)
         right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
-        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(RELIABLE_ELEVATION_DEG)))
+        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(_RELIABLE_ELEVATION_DEG)))
         return GroundVelocity(float(right), float(away), float(np.hypot(right, reliable * away)))
 
 
@@ -123,7 +125,7 @@ def ground_path(
     (T, 2) float64 array
         Metres across the picture and towards the camera.
     """
-    sine = max(float(np.sin(np.deg2rad(elevation_deg))), MIN_PATH_SINE)
+    sine = max(float(np.sin(np.deg2rad(elevation_deg))), _MIN_PATH_SINE)
     return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))
 
 
@@ -136,24 +138,24 @@ BINS = 36
 # Standard deviations: of the turn of a person within a second; of the azimuth of a right
 # hypothesis, for small and for large people; of the angle between the directions in which people
 # walk and face.
-TURN_DEG, SEEN_DEG, CLEARLY_SEEN_DEG, WALKING_DEG = 80.0, 20.0, 15.0, 40.0
+_TURN_DEG, _SEEN_DEG, _CLEARLY_SEEN_DEG, _WALKING_DEG = 80.0, 20.0, 15.0, 40.0
 # Rate of jumps to any other heading: detection and identity may be wrong.
-JUMPS_PER_S = 0.05
+_JUMPS_PER_S = 0.05
 # Share of frames in which no hypothesis faces the right way.
-OUTLIER_SHARE = 0.2
+_OUTLIER_SHARE = 0.2
 # Share of people who walk in any other direction than they face.
-BACKWARD_SHARE = 0.1
+_BACKWARD_SHARE = 0.1
 # Weight of the walking direction, which is measured over a second; the speed from which it is used,
 # and the speed from which it has this weight.
-DIRECTION_WEIGHT = 0.3
-MIN_WALKING_M_S, FULL_WALKING_M_S = 0.5, 1.0
+_DIRECTION_WEIGHT = 0.3
+_MIN_WALKING_M_S, _FULL_WALKING_M_S = 0.5, 1.0
 # Probability of the other side from which front and back are exchanged: people seen from the side
 # keep one of them.
-SWITCH_FROM = 0.8
+_SWITCH_FROM = 0.8
 MIN_TURNED_DEG = 2.0
 """Least turn of the shoulders from the exact side view."""
 # Frame rate above which each frame counts less.
-INDEPENDENT_HZ = 6.0
+_INDEPENDENT_HZ = 6.0
 
 _CENTRES_DEG = (np.arange(BINS) + 0.5) * 360 / BINS - 180
 _FRONT = np.abs(_CENTRES_DEG) < 90
@@ -186,7 +188,7 @@ class Heading:
 
     def log_likelihood(self, azimuths_deg: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log probabilities, finite, that hypotheses at these azimuths ``(N,)`` are right."""
-        return np.asarray(np.log(_normal_about(azimuths_deg, SEEN_DEG) @ self.shares + 1e-4))
+        return np.asarray(np.log(_normal_about(azimuths_deg, _SEEN_DEG) @ self.shares + 1e-4))
 
 
 class HeadingFilter:
@@ -219,14 +221,14 @@ class HeadingFilter:
         shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:
             shares, independence = self._predict(timestamp, *self._last)
-        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), WALKING_DEG)[0]
-        weight = DIRECTION_WEIGHT * self.walking_weight(velocity) * independence
-        shares = shares * _with_outliers(ahead, BACKWARD_SHARE) ** weight
+        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), _WALKING_DEG)[0]
+        weight = _DIRECTION_WEIGHT * self.walking_weight(velocity) * independence
+        shares = shares * _with_outliers(ahead, _BACKWARD_SHARE) ** weight
         seen = weights @ _normal_about(
             azimuths_deg,
-            clarity * CLEARLY_SEEN_DEG + (1 - clarity) * SEEN_DEG,
+            clarity * _CLEARLY_SEEN_DEG + (1 - clarity) * _SEEN_DEG,
         )
-        shares = shares * _with_outliers(seen, OUTLIER_SHARE) ** independence
+        shares = shares * _with_outliers(seen, _OUTLIER_SHARE) ** independence
         shares /= shares.sum()
         heading = Heading(shares, self._sees_front(float(shares[_FRONT].sum())))
         self._last = timestamp, heading
@@ -234,7 +236,7 @@ class HeadingFilter:
 
     def walking_weight(self, velocity: GroundVelocity) -> float:
         """Weight of a person's direction of motion, 0 to 1."""
-        low, high = MIN_WALKING_M_S, FULL_WALKING_M_S
+        low, high = _MIN_WALKING_M_S, _FULL_WALKING_M_S
         return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
 
     def _predict(
@@ -242,9 +244,9 @@ class HeadingFilter:
     ) -> tuple[NDArray[np.float64], float]:
         """The predicted distribution, and how independent a frame is of the previous one."""
         elapsed = timestamp - before
-        shares = last.shares @ _normal_about(_CENTRES_DEG, TURN_DEG * np.sqrt(elapsed))
-        jumps = 1 - float(np.exp(-JUMPS_PER_S * elapsed))
-        return _with_outliers(shares, jumps), min(1.0, INDEPENDENT_HZ * elapsed)
+        shares = last.shares @ _normal_about(_CENTRES_DEG, _TURN_DEG * np.sqrt(elapsed))
+        jumps = 1 - float(np.exp(-_JUMPS_PER_S * elapsed))
+        return _with_outliers(shares, jumps), min(1.0, _INDEPENDENT_HZ * elapsed)
 
     def _sees_front(self, probability: float) -> bool:
         """Whether the camera sees the front, from the last side and its current probability."""
@@ -252,7 +254,7 @@ class HeadingFilter:
             return probability >= 0.5
         front = self._last[1].front
         other_side = 1 - probability if front else probability
-        return front != (other_side >= SWITCH_FROM)
+        return front != (other_side >= _SWITCH_FROM)
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import Facing, vote_posture
-from app.estimation.results import Person, ProjectedHypothesis
+from app.estimation.posture import vote_posture
+from app.estimation.results import Facing, Person, ProjectedHypothesis
 from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
 from app.tracking.results import SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
@@ -39,32 +39,32 @@ _SHOULDERS, _HIPS = (
 )
 
 # Frame rate for which the weights and costs below are given.
-REFERENCE_HZ = 10.0
+_REFERENCE_HZ = 10.0
 # Weight of the log of a hypothesis's confidence.
-CONFIDENCE_WEIGHT = 1.5
+_CONFIDENCE_WEIGHT = 1.5
 # Weight of the log of the distance by silhouette and landmarks, if landmarks were read: the
 # confidences of all hypotheses that agree with them are near 1.
-LANDMARK_WEIGHT = 40.0
+_LANDMARK_WEIGHT = 40.0
 # Height from which landmarks have their full weight: the side of the network's window. Those of
 # smaller people jitter, so motion counts more.
-FULL_WEIGHT_PX = LANDMARK_PX
+_FULL_WEIGHT_PX = LANDMARK_PX
 # Largest cost of a move: none is impossible, since detection and identity may be wrong.
-MAX_COST = 48.0
+_MAX_COST = 48.0
 # Poses at this distance from the most probable one weigh 60 % of it.
-NEARBY_M = 0.25
+_NEARBY_M = 0.25
 # Exponent of probabilities: frames are not independent.
-SHARPNESS = 0.5
+_SHARPNESS = 0.5
 # Time over which a line is fitted to the averages for landmarks of full weight, which follow quick
 # limbs; and the largest number of frames in any line.
-LANDMARK_LINE_S, MAX_LINE_FRAMES = 0.12, 24
+_LANDMARK_LINE_S, _MAX_LINE_FRAMES = 0.12, 24
 EXTRAPOLATED_S = 1.0
 """A pose is kept this long without a silhouette."""
 # Log odds that a kept pose loses in a second; measured on the clips that the confidence was fitted
 # on.
-LOST_PER_S = 5.0
+_LOST_PER_S = 5.0
 # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and of
 # the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
-CONFIDENCE_OFFSET, HYPOTHESES_WEIGHT, AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
+_CONFIDENCE_OFFSET, _HYPOTHESES_WEIGHT, _AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class _Frame:
         if person.facing is not None and person.facing.evidence == "image":
             distances = np.array([placed.distance for placed in hypotheses])
             height = person.whole_box.height
-            clarity = min(1.0, height / FULL_WEIGHT_PX) ** 2
+            clarity = min(1.0, height / _FULL_WEIGHT_PX) ** 2
         return cls(
             hypotheses,
             np.array([placed.points_3d for placed in hypotheses]),
@@ -162,9 +162,9 @@ class _Frame:
 
     def log_likelihoods(self) -> NDArray[np.float64]:
         """Log likelihoods ``(N,)`` of the states, up to a constant, for the reference rate."""
-        result = CONFIDENCE_WEIGHT * np.log(self.confidences + 1e-3)
+        result = _CONFIDENCE_WEIGHT * np.log(self.confidences + 1e-3)
         if self.distances is not None:
-            result = result - self.clarity * LANDMARK_WEIGHT * np.log(
+            result = result - self.clarity * _LANDMARK_WEIGHT * np.log(
                 (self.distances + 1e-9) / (self.distances.min() + 1e-9)
             )
         return result
@@ -212,7 +212,7 @@ class PoseSmoother:
         self._smoothing = smoothing
         self._ground = GroundMotion()
         self._headings = HeadingFilter()
-        self._states: deque[_States] = deque(maxlen=MAX_LINE_FRAMES)
+        self._states: deque[_States] = deque(maxlen=_MAX_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
@@ -276,7 +276,7 @@ class PoseSmoother:
         if age_s > EXTRAPOLATED_S:
             return None
         pose, before = self._last
-        odds = log_odds(pose.confidence) - LOST_PER_S * age_s
+        odds = log_odds(pose.confidence) - _LOST_PER_S * age_s
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(person).minus(before),
@@ -299,7 +299,7 @@ class PoseSmoother:
         log_emission = frame.log_likelihoods()
         if self._states:
             elapsed = timestamp - self._states[-1].timestamp
-            log_emission *= min(1.0, REFERENCE_HZ * elapsed)
+            log_emission *= min(1.0, _REFERENCE_HZ * elapsed)
         shares = np.exp(log_emission - log_emission.max())
         azimuths_deg = azimuth_deg(frame.points_3d)
         heading = self._headings.update(
@@ -318,7 +318,7 @@ class PoseSmoother:
         self._states.append(
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
-        line_s = clarity * LANDMARK_LINE_S + (1 - clarity) * self._smoothing.line_s
+        line_s = clarity * _LANDMARK_LINE_S + (1 - clarity) * self._smoothing.line_s
         # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
@@ -328,10 +328,10 @@ class PoseSmoother:
         self, before: _States, points_3d: NDArray[np.float64], timestamp: float
     ) -> NDArray[np.float64]:
         """Log probabilities ``(M, N)``, up to a constant, of moving between all pairs of poses."""
-        intervals = REFERENCE_HZ * (timestamp - before.timestamp)
+        intervals = _REFERENCE_HZ * (timestamp - before.timestamp)
         cost_per_m = 2 * self._smoothing.cost_per_m / (1 + intervals)
         metres = mean_joint_distance(before.points_3d[:, None], points_3d[None])
-        return np.asarray(-np.minimum(cost_per_m * metres, MAX_COST))
+        return np.asarray(-np.minimum(cost_per_m * metres, _MAX_COST))
 
     def _pose(
         self,
@@ -350,9 +350,9 @@ class PoseSmoother:
         nearness = self._nearness(frame.points_3d, log_forward)
         agreement_odds = log_odds(float(probabilities @ nearness))
         odds = (
-            CONFIDENCE_OFFSET
-            + HYPOTHESES_WEIGHT * hypotheses_odds
-            + AGREEMENT_WEIGHT * agreement_odds
+            _CONFIDENCE_OFFSET
+            + _HYPOTHESES_WEIGHT * hypotheses_odds
+            + _AGREEMENT_WEIGHT * agreement_odds
         )
         weights = self._weights_near_best(frame.points_3d, log_forward)
         pose = SmoothedPose(
@@ -383,7 +383,7 @@ class PoseSmoother:
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._states)])
-        weights = 1 - ages / (ages.max() + 1 / REFERENCE_HZ)
+        weights = 1 - ages / (ages.max() + 1 / _REFERENCE_HZ)
         smoothed = _line_at_zero(ages, np.array(averages), weights)
         return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
 
@@ -392,7 +392,7 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
         relative = log_probabilities - log_probabilities.max()
-        softened = np.exp(SHARPNESS * relative)
+        softened = np.exp(_SHARPNESS * relative)
         weights = softened * self._nearness(points_3d, log_probabilities)
         return np.asarray(weights / weights.sum())
 
@@ -401,7 +401,7 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """How near states ``(N,)`` are to the most probable one, 0 to 1."""
         apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
-        return np.asarray(np.exp(-((apart / NEARBY_M) ** 2) / 2))
+        return np.asarray(np.exp(-((apart / _NEARBY_M) ** 2) / 2))
 
     def _kept_on_visible_side(
         self, points_3d: NDArray[np.float64], heading: Heading

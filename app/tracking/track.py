@@ -1,4 +1,4 @@
-"""A person over time: from the first sighting to the last."""
+"""Tracks: one person over time each, and the track to which each sighting belongs."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, Facing
-from app.estimation.results import Person
+from app.estimation.posture import EstimatedPosture, PostureFilter
+from app.estimation.results import Facing, Person
 from app.tracking.actions import ActionRecogniser
-from app.tracking.events import EventDetector, HipHeight, PostureFilter, Reliability
+from app.tracking.events import EventDetector, HipHeight, Reliability
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
@@ -45,86 +45,20 @@ class Sighting:
     track: Track | None = None
 
 
-# Share of the difference between prediction and observation by which each is corrected.
-PLACE_GAIN, VELOCITY_GAIN, SIZE_GAIN = 0.7, 0.3, 0.3
-# Time in which an unseen person's velocity falls to 1/e.
-DRIFT_S = 1.0
-# Least elapsed time: a frame that is sent again has the same time.
-MIN_ELAPSED_S = 1e-3
-
-
-class BoxFilter:
-    """Predicts a person's box, assuming a constant velocity.
-
-    The place is the middle of the lower edge, where the person stands.
-
-    Parameters
-    ----------
-    box : Box
-        The first.
-    timestamp : float
-        Seconds.
-    """
-
-    def __init__(self, box: Box, timestamp: float) -> None:
-        self._place = box.foot
-        self._size = np.array([box.width, box.height])
-        self._timestamp = timestamp
-        self.velocity = np.zeros(2)
-        """Pixels a second, right and down."""
-        self.seen = box
-        """The last observed box."""
-
-    def predict(self, timestamp: float) -> Box:
-        """Box at a later time; it may lie outside the frame."""
-        place = self._predicted_place(timestamp - self._timestamp)
-        width, height = self._size.tolist()
-        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
-
-    def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Correct the prediction using an observed box.
-
-        Parameters
-        ----------
-        box : Box
-            As person.
-        timestamp : float
-            Seconds.
-        whole : bool
-            Whether all of the person was seen; otherwise the size does not shrink.
-        """
-        elapsed = max(timestamp - self._timestamp, MIN_ELAPSED_S)
-        predicted = self._predicted_place(elapsed)
-        growth = np.array([box.width, box.height]) - self._size
-        error = box.foot - predicted
-        self._place = predicted + PLACE_GAIN * error
-        # The longer the gap, the more of the error is due to the velocity alone.
-        gain = VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
-        self.velocity = self.velocity + gain * error
-        growth = growth if whole else np.maximum(growth, 0)
-        self._size = self._size + SIZE_GAIN * growth
-        self._timestamp = timestamp
-        self.seen = box
-
-    def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
-        travel = DRIFT_S * (1 - math.exp(-elapsed / DRIFT_S))
-        return np.asarray(self._place + travel * self.velocity)
-
-
 # With landmarks: the probability of a person from which a track counts as one, and the share of
 # people among the windows that the model of this probability was trained on.
-MIN_PROBABILITY, PEOPLE_SHARE = 0.9, 6 / 7
+_MIN_PROBABILITY, _PEOPLE_SHARE = 0.9, 6 / 7
 # Time over which windows are averaged: a person may take a seat that was followed while empty.
-WINDOW_MEAN_S = 3.0
+_WINDOW_MEAN_S = 3.0
 # Without landmarks: the detector's score that is enough at once, and the number of sightings that
 # is always enough.
-CONFIRMING_SCORE, CONFIRMING_SIGHTINGS = 0.6, 3
+_CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
 # Exponent of the probability that landmarks are right, in the weight of a frame's posture. On
 # held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
 # 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
-RELIABILITY_EXPONENT = 0.25
+_RELIABILITY_EXPONENT = 0.25
 # Share of the difference that corrects the known appearance.
-APPEARANCE_GAIN = 0.1
+_APPEARANCE_GAIN = 0.1
 
 
 class Track:
@@ -171,8 +105,8 @@ class Track:
     def is_confirmed(self) -> bool:
         """Whether the track counts as a person."""
         if self._shown_odds is not None:
-            return self._probability(self._shown_odds) >= MIN_PROBABILITY
-        return self.score >= CONFIRMING_SCORE or self.sightings >= CONFIRMING_SIGHTINGS
+            return self._probability(self._shown_odds) >= _MIN_PROBABILITY
+        return self.score >= _CONFIRMING_SCORE or self.sightings >= _CONFIRMING_SIGHTINGS
 
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
@@ -181,7 +115,7 @@ class Track:
         the training data, so its log odds are subtracted. Their mean counts as a single
         observation, because furniture that looks like a person does so in every frame.
         """
-        in_training = log_odds(PEOPLE_SHARE)
+        in_training = log_odds(_PEOPLE_SHARE)
         return probability_of(log_odds(self.score) + shown_odds - in_training)
 
     def see(self, sighting: Sighting, timestamp: float) -> None:
@@ -196,7 +130,7 @@ class Track:
             self.score = max(self.score, _score(person))
         if person.source == "detector" and person.trust is not None:
             self._windows += 1
-            gain = 1 - math.exp(-elapsed / WINDOW_MEAN_S)
+            gain = 1 - math.exp(-elapsed / _WINDOW_MEAN_S)
             odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window = person.next_window
@@ -205,7 +139,7 @@ class Track:
         # A partly hidden person would take on the colours of the person in front.
         elif sighting.appearance is not None and not truncated:
             difference = sighting.appearance - self.appearance
-            self.appearance = self.appearance + APPEARANCE_GAIN * difference
+            self.appearance = self.appearance + _APPEARANCE_GAIN * difference
 
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
         """Give the track an identity; return the event of a person who has entered."""
@@ -329,7 +263,7 @@ def _weight(person: Person) -> float:
     """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
     presence = 1.0 if person.presence is None else person.presence
     right = 1.0 if person.trust is None else person.trust.right
-    right = math.pow(right, RELIABILITY_EXPONENT)
+    right = math.pow(right, _RELIABILITY_EXPONENT)
     return 1 - presence * (1 - right)
 
 
@@ -350,6 +284,162 @@ def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
     """Height of a person's hips, from the best hypothesis."""
     y_px = float(person.hypotheses[0].points_2d[_HIPS, 1].mean())
     return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)
+
+
+# Distances are in sizes of the person.
+# Largest distance of a person from the predicted place: at once, its growth for each second since
+# the last sighting, and its limit.
+_NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
+# Largest ratio of two sizes of one person at once; it applies once more for each second since the
+# last sighting. A person's box shrinks within half a second in a fall towards the camera.
+_MAX_GROWTH = 1.6
+# Weights of the costs of a pair, each 0 to 1 within the limits above.
+_PLACE_WEIGHT, _OVERLAP_WEIGHT, _SIZE_WEIGHT, _APPEARANCE_WEIGHT = 0.4, 0.3, 0.2, 0.6
+# Cost of the appearance if either one is unknown.
+_UNKNOWN_APPEARANCE = 0.3
+# Factor of the cost for the track in whose window the person was read.
+_WINDOW_FACTOR = 0.5
+# At a higher cost a sighting begins a new track.
+_MAX_COST = 1.1
+
+
+def associate(
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
+) -> list[int | None]:
+    """Assign each sighting to a track so that the sum of the costs is minimal.
+
+    Parameters
+    ----------
+    tracks, sightings : sequences of Track and Sighting
+    timestamp : float
+        Time of the sightings, seconds.
+
+    Returns
+    -------
+    list of int or None
+        For each sighting, the position of its track; None for a new person.
+    """
+    if not tracks or not sightings:
+        return [None] * len(sightings)
+    costs = _costs(tracks, sightings, timestamp)
+    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=_MAX_COST)
+    return [int(row) if row >= 0 else None for row in assigned]
+
+
+def _costs(
+    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
+) -> NDArray[np.float64]:
+    """Costs ``(T, S)`` of all pairs, above the maximum if both cannot be the same person."""
+    costs = np.full((len(tracks), len(sightings)), 10 * _MAX_COST)
+    for row, track in enumerate(tracks):
+        predicted, last = track.box_filter.predict(timestamp), track.box_filter.seen
+        elapsed = timestamp - track.seen_at
+        reach = min(_FAR, _NEAR + _NEAR_PER_S * elapsed)
+        max_growth = math.log(_MAX_GROWTH) * (1 + elapsed)
+        for column, sighting in enumerate(sightings):
+            box = sighting.person.box
+            away = _distance(predicted, box) / max(_size(predicted), _size(box))
+            # When a person bends quickly, the box shrinks faster than the predicted size, which is
+            # averaged over frames; the last observed box is then closer in size.
+            growth = min(_growth(predicted, box), _growth(last, box)) / max_growth
+            in_window = sighting.track is track
+            if not in_window and (away > reach or growth > 1):
+                continue
+            appearance = _UNKNOWN_APPEARANCE
+            if track.appearance is not None and sighting.appearance is not None:
+                appearance = appearance_distance(track.appearance, sighting.appearance)
+            cost = (
+                _PLACE_WEIGHT * min(1.0, away / reach)
+                + _OVERLAP_WEIGHT * (1 - predicted.iou(box))
+                + _SIZE_WEIGHT * min(1.0, growth)
+                + _APPEARANCE_WEIGHT * appearance
+            )
+            costs[row, column] = _WINDOW_FACTOR * cost if in_window else cost
+    return costs
+
+
+def _growth(before: Box, after: Box) -> float:
+    """Absolute log ratio of the sizes of two boxes."""
+    return abs(math.log(_size(after) / _size(before)))
+
+
+def _size(box: Box) -> float:
+    """Length of a body. Unlike the height, it stays the same in a fall."""
+    return max(box.width, box.height)
+
+
+def _distance(first: Box, second: Box) -> float:
+    """Pixels between the centres of two boxes."""
+    return math.hypot(
+        first.x + first.width / 2 - second.x - second.width / 2,
+        first.y + first.height / 2 - second.y - second.height / 2,
+    )
+
+
+# Share of the difference between prediction and observation by which each is corrected.
+_PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
+# Time in which an unseen person's velocity falls to 1/e.
+_DRIFT_S = 1.0
+# Least elapsed time: a frame that is sent again has the same time.
+_MIN_ELAPSED_S = 1e-3
+
+
+class BoxFilter:
+    """Predicts a person's box, assuming a constant velocity.
+
+    The place is the middle of the lower edge, where the person stands.
+
+    Parameters
+    ----------
+    box : Box
+        The first.
+    timestamp : float
+        Seconds.
+    """
+
+    def __init__(self, box: Box, timestamp: float) -> None:
+        self._place = box.foot
+        self._size = np.array([box.width, box.height])
+        self._timestamp = timestamp
+        self.velocity = np.zeros(2)
+        """Pixels a second, right and down."""
+        self.seen = box
+        """The last observed box."""
+
+    def predict(self, timestamp: float) -> Box:
+        """Box at a later time; it may lie outside the frame."""
+        place = self._predicted_place(timestamp - self._timestamp)
+        width, height = self._size.tolist()
+        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
+
+    def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
+        """Correct the prediction using an observed box.
+
+        Parameters
+        ----------
+        box : Box
+            As person.
+        timestamp : float
+            Seconds.
+        whole : bool
+            Whether all of the person was seen; otherwise the size does not shrink.
+        """
+        elapsed = max(timestamp - self._timestamp, _MIN_ELAPSED_S)
+        predicted = self._predicted_place(elapsed)
+        growth = np.array([box.width, box.height]) - self._size
+        error = box.foot - predicted
+        self._place = predicted + _PLACE_GAIN * error
+        # The longer the gap, the more of the error is due to the velocity alone.
+        gain = _VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
+        self.velocity = self.velocity + gain * error
+        growth = growth if whole else np.maximum(growth, 0)
+        self._size = self._size + _SIZE_GAIN * growth
+        self._timestamp = timestamp
+        self.seen = box
+
+    def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
+        travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
+        return np.asarray(self._place + travel * self.velocity)
 
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
@@ -387,93 +477,3 @@ def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> ND
 def appearance_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Hellinger distance of two histograms, 0 to 1."""
     return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
-
-
-# Distances are in sizes of the person.
-# Largest distance of a person from the predicted place: at once, its growth for each second since
-# the last sighting, and its limit.
-NEAR, NEAR_PER_S, FAR = 0.3, 1.0, 2.0
-# Largest ratio of two sizes of one person at once; it applies once more for each second since the
-# last sighting. A person's box shrinks within half a second in a fall towards the camera.
-MAX_GROWTH = 1.6
-# Weights of the costs of a pair, each 0 to 1 within the limits above.
-PLACE_WEIGHT, OVERLAP_WEIGHT, SIZE_WEIGHT, APPEARANCE_WEIGHT = 0.4, 0.3, 0.2, 0.6
-# Cost of the appearance if either one is unknown.
-UNKNOWN_APPEARANCE = 0.3
-# Factor of the cost for the track in whose window the person was read.
-WINDOW_FACTOR = 0.5
-# At a higher cost a sighting begins a new track.
-MAX_COST = 1.1
-
-
-def associate(
-    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
-) -> list[int | None]:
-    """Assign each sighting to a track so that the sum of the costs is minimal.
-
-    Parameters
-    ----------
-    tracks, sightings : sequences of Track and Sighting
-    timestamp : float
-        Time of the sightings, seconds.
-
-    Returns
-    -------
-    list of int or None
-        For each sighting, the position of its track; None for a new person.
-    """
-    if not tracks or not sightings:
-        return [None] * len(sightings)
-    costs = _costs(tracks, sightings, timestamp)
-    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=MAX_COST)
-    return [int(row) if row >= 0 else None for row in assigned]
-
-
-def _costs(
-    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
-) -> NDArray[np.float64]:
-    """Costs ``(T, S)`` of all pairs, above the maximum if both cannot be the same person."""
-    costs = np.full((len(tracks), len(sightings)), 10 * MAX_COST)
-    for row, track in enumerate(tracks):
-        predicted, last = track.box_filter.predict(timestamp), track.box_filter.seen
-        elapsed = timestamp - track.seen_at
-        reach = min(FAR, NEAR + NEAR_PER_S * elapsed)
-        max_growth = math.log(MAX_GROWTH) * (1 + elapsed)
-        for column, sighting in enumerate(sightings):
-            box = sighting.person.box
-            away = _distance(predicted, box) / max(_size(predicted), _size(box))
-            # When a person bends quickly, the box shrinks faster than the predicted size, which is
-            # averaged over frames; the last observed box is then closer in size.
-            growth = min(_growth(predicted, box), _growth(last, box)) / max_growth
-            in_window = sighting.track is track
-            if not in_window and (away > reach or growth > 1):
-                continue
-            appearance = UNKNOWN_APPEARANCE
-            if track.appearance is not None and sighting.appearance is not None:
-                appearance = appearance_distance(track.appearance, sighting.appearance)
-            cost = (
-                PLACE_WEIGHT * min(1.0, away / reach)
-                + OVERLAP_WEIGHT * (1 - predicted.iou(box))
-                + SIZE_WEIGHT * min(1.0, growth)
-                + APPEARANCE_WEIGHT * appearance
-            )
-            costs[row, column] = WINDOW_FACTOR * cost if in_window else cost
-    return costs
-
-
-def _growth(before: Box, after: Box) -> float:
-    """Absolute log ratio of the sizes of two boxes."""
-    return abs(math.log(_size(after) / _size(before)))
-
-
-def _size(box: Box) -> float:
-    """Length of a body. Unlike the height, it stays the same in a fall."""
-    return max(box.width, box.height)
-
-
-def _distance(first: Box, second: Box) -> float:
-    """Pixels between the centres of two boxes."""
-    return math.hypot(
-        first.x + first.width / 2 - second.x - second.width / 2,
-        first.y + first.height / 2 - second.y - second.height / 2,
-    )

@@ -15,7 +15,7 @@ from app.tracking.results import Event
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, PostureName
 
-MIN_SPREAD_PX = 0.5
+_MIN_SPREAD_PX = 0.5
 
 ZoneKind = Literal["rest", "watch"]
 """``rest``: a bed or sofa, where lying is not an event; ``watch``: any other place of interest."""
@@ -45,7 +45,7 @@ class Zone:
 def has_area(polygon: NDArray[np.float64]) -> bool:
     """Whether the corners ``(P, 2)`` are more than half a pixel away from a common line."""
     spread = np.linalg.svd(polygon - polygon.mean(axis=0), compute_uv=False)[-1]
-    return bool(spread / math.sqrt(len(polygon)) > MIN_SPREAD_PX)
+    return bool(spread / math.sqrt(len(polygon)) > _MIN_SPREAD_PX)
 
 
 def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
@@ -105,7 +105,7 @@ class _Stay:
 
 # Distance outside, in sizes of the person, up to which a person who has entered stays in the zone:
 # feet at a border move by some hundredths of a body from frame to frame.
-MARGIN = 0.1
+_MARGIN = 0.1
 SETTLING_S = 0.5
 """Time inside or outside before an event is reported."""
 
@@ -177,7 +177,7 @@ class ZoneWatch:
 
 def _is_near(zone: Zone, box: Box, posture: PostureName | None) -> bool:
     """Whether a person is at most the margin away from a zone's border."""
-    margin_px = MARGIN * max(box.width, box.height)
+    margin_px = _MARGIN * max(box.width, box.height)
     return distance(zone.polygon, place(box, posture)) <= margin_px
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.posture import PostureFilter
 from app.tracking.actions import MIN_VOTE, ActionModel
-from app.tracking.events import EventDetector, PostureFilter, Reliability
+from app.tracking.events import EventDetector, Reliability
 from app.tracking.smoothing import PoseSmoother
 from app.tracking.track import hip_height
 from index import DEFAULT_PATH

@@ -14,8 +14,7 @@ from app.api.replies import (
     track_reply,
 )
 from app.api.tracking_schemas import TrackResponse
-from app.estimation.posture import Facing
-from app.estimation.results import Estimate
+from app.estimation.results import Estimate, Facing
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job

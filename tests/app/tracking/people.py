@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import Facing, posture_of, vote_posture
-from app.estimation.results import Person, ProjectedHypothesis
+from app.estimation.posture import posture_of, vote_posture
+from app.estimation.results import Facing, Person, ProjectedHypothesis
 from app.vision.geometry import Box
 from index.posture import PostureName
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation

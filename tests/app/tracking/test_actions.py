@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, Facing, vote_posture
+from app.estimation.posture import EstimatedPosture, vote_posture
+from app.estimation.results import Facing
 from app.tracking.actions import (
     FULL_WEIGHT_PX,
     RATE_HZ,

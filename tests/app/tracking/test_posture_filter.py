@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
-from app.tracking.events import PostureFilter
+from app.estimation.posture import PostureFilter, vote_posture
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
 from index.posture import ON_THE_GROUND, POSTURES, PostureName

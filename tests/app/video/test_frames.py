@@ -273,5 +273,5 @@ def test_timestamps_always_ascend(reported: list[float | None], fps: float) -> N
     clock = Clock(fps)
     times = [clock.timestamp(one) for one in reported]
     assert times[0] == 0
-    assert camera.MIN_STEP_S == MIN_STEP_S
+    assert camera.MIN_INTERVAL_S == MIN_STEP_S
     assert all(second >= first + MIN_STEP_S * (1 - 1e-6) for first, second in pairwise(times))
