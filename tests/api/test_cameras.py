@@ -1,4 +1,4 @@
-"""Frames of cameras over HTTP: order, state, callers, late frames, limits."""
+"""Frames of cameras over HTTP: order, state, callers, limits."""
 
 from __future__ import annotations
 
@@ -40,15 +40,6 @@ class TestTrackFrame:
             params={"timestamp": 3.25},
         )
         assert response.json()["timestamp"] == 3.25
-
-    @pytest.mark.parametrize("late", ["7", "6.9"])
-    def test_a_late_frame_is_refused(self, client: TestClient, photo: Photo, late: str) -> None:
-        send(client, photo, timestamp="7")
-        response = send(client, photo, timestamp=late)
-        assert "7" in check_problem(response, 409, "timestamp")
-        assert response.headers["x-session"] == "warm"
-        assert sample(client, "pose_rejected_total", reason="late_frame") == 1
-        assert send(client, photo, timestamp="7.1").json()["frame_index"] == 1
 
     def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
         path = "/cameras/yard/frames"

@@ -5,7 +5,7 @@ import pytest
 from app.camera import CameraSession
 from app.photograph import Estimator
 from index.store import PoseIndex
-from tests.app.tracking.drawn import ColourDetector, drawn_estimator
+from tests.app.drawn import ColourDetector, drawn_estimator
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from app.scheduling.job import DeadlineError, Job
 from app.tracking.actions import shipped_model
 from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
-from tests.app.tracking.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
+from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import png
 from tests.support.jobs import ShortJob
 
@@ -48,7 +48,7 @@ def test_a_person_who_vanished_within_the_frame_keeps_the_identity(session: Came
     assert ids(send(session, 1.5, (0, 110))) == [1]
 
 
-@pytest.mark.parametrize("fps", [1, 2, 5, 10, 15, 30])
+@pytest.mark.parametrize("fps", [1, 5, 30])
 @pytest.mark.parametrize("speed", [0, 64, -64])
 def test_identities_and_poses_at_any_frame_rate(
     session: CameraSession, fps: int, speed: int
@@ -74,20 +74,20 @@ def test_detected_people_enter_with_the_first_frame(session: CameraSession) -> N
 
 
 def test_crossing_people_keep_their_identities(session: CameraSession) -> None:
-    for step in range(40):
-        result = send(session, step / 10, (0, 20 + 6 * step), (1, 260 - 6 * step))
+    for step in range(20):
+        result = send(session, step / 5, (0, 20 + 12 * step), (1, 260 - 12 * step))
         boxes = {tracked.track_id: tracked.box.x for tracked in result.persons}
-    assert boxes == {1: pytest.approx(20 + 6 * 39, abs=6), 2: pytest.approx(260 - 6 * 39, abs=6)}
+    assert boxes == {1: pytest.approx(248, abs=6), 2: pytest.approx(32, abs=6)}
 
 
 def test_identities_are_never_reused(session: CameraSession) -> None:
     seen = set()
-    for visit in range(3):
-        for step in range(30):
+    for visit in range(2):
+        for step in range(12):
             # Half a second, and then two and a half without anybody.
-            people = [(2, 50 + 4 * step)] if step < 5 else []
-            seen |= set(ids(send(session, 3 * visit + step / 10, *people)))
-    assert seen == {1, 2, 3}
+            people = [(2, 50 + 10 * step)] if step < 2 else []
+            seen |= set(ids(send(session, 3 * visit + step / 4, *people)))
+    assert seen == {1, 2}
 
 
 @pytest.mark.parametrize("first", [0.0, 5.0])
@@ -227,19 +227,20 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
 
 def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
     rng = np.random.default_rng(0)
-    for step in range(40):
+    for step in range(12):
         lefts = rng.integers(0, COLUMNS - 30, 3)
         send(session, step / 2, *((colour, int(left)) for colour, left in enumerate(lefts)))
     assert len(session.track_ids) <= 8
 
 
-@pytest.mark.parametrize("fps", [2, 10, 50])
+@pytest.mark.parametrize("fps", [10, 40])
 def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, fps: int) -> None:
-    for frame in range(4 * fps + 1):
+    seen: set[int] = set()
+    for shared in (session, shipped_model()):
+        held_bytes(shared, seen)
+    for frame in range(round(3.2 * fps)):
         send(session, frame / fps, (0, 100))
-    (track,) = session._tracks
-    shared = set(map(id, [shipped_model(), *shipped_model().__dict__.values()]))
-    held = held_bytes(track, shared)
+    held = held_bytes([*vars(session).values()], seen)
     assert held < 2 * session.memory_bytes
     if fps == 10:
         assert held > session.memory_bytes / 2

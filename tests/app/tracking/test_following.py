@@ -12,7 +12,7 @@ from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import SEARCH_EVERY_S, TrackedPeopleDetector
 from app.tracking.track import Sighting, Track
-from tests.app.tracking.drawn import ColourDetector, ColourReader, draw, ids, send
+from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
 
 
 def test_every_frame_reads_everyone_and_some_search_the_whole_frame(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation import finder
 from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
+from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, silhouette_from_mask
@@ -69,19 +72,37 @@ def test_network_passes_share_the_cores(cores: int, concurrency: int) -> None:
     assert copies == concurrency or threads * (copies + 1) > cores
 
 
-@pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])
-def test_silhouette_evidence_ignores_the_photograph(
-    estimator: Estimator,
-    street: NDArray[np.uint8],
-    walker: Person,
-    monkeypatch: pytest.MonkeyPatch,
-    source: str,
-) -> None:
-    def fail(*_: object) -> None:
+class Unread:
+    """A reader that must not read anybody."""
+
+    def read(self, *_: object) -> PoseReading:
         raise AssertionError("expected nothing to be read, got a call of the reader")
 
+
+class Blind:
+    """Reads people, but the masks of its readings are empty."""
+
+    def __init__(self, reader: PersonReader) -> None:
+        self.reader = reader
+
+    def read(self, *where: Any) -> PoseReading:
+        reading = self.reader.read(*where)
+        return replace(reading, probability=np.zeros_like(reading.probability))
+
+
+def reading_with(estimator: Estimator, reader: object) -> Estimator:
+    """An estimator with another reader."""
+    models = replace(estimator.models, reader=reader)  # type: ignore[arg-type]
+    limits = {"min_person_px": None, "max_pixels": 10**6, "max_persons": 9}
+    return Estimator(estimator.index, models, **limits)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])
+def test_silhouette_evidence_ignores_the_photograph(
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person, source: str
+) -> None:
     if source in ("mask", "background"):  # Else what is read cuts people out.
-        monkeypatch.setattr(PersonReader, "read", fail)
+        estimator = reading_with(estimator, Unread())
     wide = (WALKER, Box(100, 150, 120, 100))
     empty = street.copy()
     empty[150:270, 120:185] = street[30:150, 60:125]
@@ -179,9 +200,9 @@ def test_boxes_and_masks_of_lying_people_are_read(
 
 
 def test_box_without_a_silhouette_has_no_poses(
-    estimator: Estimator, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
+    estimator: Estimator, street: NDArray[np.uint8]
 ) -> None:
-    monkeypatch.setattr(finder, "silhouettes_of", lambda _, boxes, *__, **___: [None] * len(boxes))
+    estimator = reading_with(estimator, Blind(estimator.models.reader))
     (person,) = persons(estimator, Upload(png(street), boxes=(WALKER,)))
     assert person.box == WALKER
     assert person.silhouette is None

@@ -1,4 +1,4 @@
-"""How likely a person is in each posture, by landmarks and votes."""
+"""How likely a person is in each posture, in a frame and over time."""
 
 from __future__ import annotations
 
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 from app.estimation.posture import (
     LANDMARK_GROUPS,
     MIN_PROBABILITY,
+    PostureFilter,
     estimate_posture,
     likeliest_posture,
     posture_of,
     shares_of,
     vote_posture,
 )
+from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
-from index.posture import POSTURES
+from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))
 some_probabilities = st.lists(
@@ -92,3 +94,47 @@ def test_posture_is_reported_from_a_probability_of_one_half(weights: list[float]
     found = posture_of(vote_posture(POSTURES[: len(weights)], weights))
     assert 0 <= found.probability <= 1
     assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)
+
+
+NARROW, WIDE = Box(0, 0, 40, 160), Box(0, 0, 160, 40)
+
+
+def votes(posture: PostureName) -> NDArray[np.float64]:
+    return vote_posture([posture], [1.0])
+
+
+@pytest.mark.parametrize("fps", [5, 30])
+def test_the_posture_settles_on_a_new_one_within_a_second(fps: int) -> None:
+    postures = PostureFilter()
+    labels = []
+    for frame in range(3 * fps):
+        seen = votes("standing" if frame < fps else "sitting")
+        posture, shares = postures.update(frame / fps, seen, None, 1.0, NARROW)
+        labels.append(posture.label)
+        assert shares is seen
+    assert set(labels[:fps]) == {"standing"} and labels[fps] != "sitting"
+    assert set(labels[2 * fps :]) == {"sitting"}
+
+
+def test_after_a_long_gap_the_newest_frame_counts_for_most() -> None:
+    postures = PostureFilter()
+    postures.update(0.0, votes("standing"), None, 1.0, NARROW)
+    posture, _ = postures.update(60.0, votes("lying"), None, 1.0, WIDE)
+    assert posture.label == "lying"
+    assert posture.share(["standing"]) == pytest.approx(np.exp(-1 / 0.4))
+
+
+@pytest.mark.parametrize(("box", "lies"), [(NARROW, False), (WIDE, True)])
+def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) -> None:
+    frame_posture = FramePosture(np.full(len(FRAME_POSTURES), 1 / len(FRAME_POSTURES)))
+    _, shares = PostureFilter().update(0.0, votes("standing"), frame_posture, 0.0, box)
+    share = sum(shares[POSTURES.index(posture)] for posture in ON_THE_GROUND)
+    assert (share > 0.9) if lies else (share < 0.1)
+
+
+def test_unreliable_frames_hardly_change_the_posture() -> None:
+    postures = PostureFilter()
+    postures.update(0.0, votes("lying"), None, 1.0, WIDE)
+    for frame in range(1, 11):
+        posture, _ = postures.update(frame / 10, votes("standing"), None, 1.0, NARROW, 0.1)
+    assert posture.label == "lying"
