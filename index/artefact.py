@@ -1,20 +1,30 @@
-"""The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it."""
+"""The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it.
+
+Beside the index may lie a network that re-ranks hypotheses: ``reranking.npz`` holds its weights,
+``reranking.json`` their SHA-256 and the constants fitted to it. Without it, hypotheses are ordered
+by distance alone.
+"""
 
 from __future__ import annotations
 
 import hashlib
+import io
 import json
+import lzma
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from threading import Lock
 from typing import Any, cast
+from zipfile import BadZipFile
 
 import faiss
 import numpy as np
+from numpy.typing import NDArray
 
 from descriptor.descriptor import restore
-from index.files import ArtefactError, read_array, read_bytes
-from index.reranker import RankingModel, load_reranker
+from index.confidence import RERANKING_FEATURES, Calibration
+from index.network import JointNetwork, RankingModel
 from index.search import Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
@@ -25,6 +35,17 @@ MANIFEST = "manifest.json"
 
 SILHOUETTES = "silhouettes.npy"
 """This file is stored as it is, since its content is compressed; all other files are compressed."""
+
+RERANKING_FORMAT_VERSION = 2
+RERANKING_JSON, RERANKING_NPZ = "reranking.json", "reranking.npz"
+
+_PARSING = Lock()
+"""NumPy parses a header with :func:`ast.literal_eval`, which is not thread-safe in Python 3.11:
+https://github.com/python/cpython/issues/106905."""
+
+
+class ArtefactError(ValueError):
+    """An index artefact that cannot be used; the message says why in one sentence."""
 
 
 def load_index(
@@ -75,13 +96,53 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
     with ThreadPoolExecutor() as pool:
         read = {
             name.removesuffix(".npy"): pool.submit(
-                read_array if name.endswith(".npy") else read_bytes,
+                read_array if name.endswith(".npy") else _read_bytes,
                 path / stored_name(name),
                 expected,
             )
             for name, expected in sha256.items()
         }
         return {name: future.result() for name, future in read.items()}
+
+
+def load_reranker(folder: Path) -> RankingModel | None:
+    """Read and verify the network beside an index; None if there is none.
+
+    Raises
+    ------
+    ArtefactError
+        If it is incomplete, altered, or not a network of this format.
+    """
+    file, weights = folder / RERANKING_JSON, folder / RERANKING_NPZ
+    if not file.exists():
+        if weights.exists():
+            raise ArtefactError(f"the network {weights} lacks its manifest {file.name} beside it")
+        return None
+    try:
+        manifest = json.loads(file.read_bytes())
+        version = manifest["format_version"]
+        if version != RERANKING_FORMAT_VERSION:
+            raise ArtefactError(
+                f"{file} has format {version}, this service reads format {RERANKING_FORMAT_VERSION}"
+            )
+        content = io.BytesIO(_read_bytes(weights, manifest["sha256"]))
+        with np.load(content, allow_pickle=False) as arrays:
+            network = JointNetwork.restore(arrays)
+        columns, rows, depths = (float(value) for value in manifest["spread"])
+        if not min(columns, rows, depths) >= 0:
+            raise ValueError(f"expected a spread of 0 or more, got {manifest['spread']}")
+        return RankingModel(
+            network,
+            Calibration.restore(manifest["confidence"], RERANKING_FEATURES),
+            dict(manifest["training"]),
+            float(manifest["order_weight"]),
+            float(manifest["support_weight"]),
+            (columns, rows, depths),
+        )
+    except ArtefactError:
+        raise
+    except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
+        raise ArtefactError(f"{file} and {weights.name} do not hold together: {error}") from error
 
 
 def _restore(
@@ -142,6 +203,43 @@ def _read_manifest(path: Path) -> dict[str, Any]:
     if manifest.get("version") != version_of(manifest):
         raise ArtefactError(f"the manifest {file} was altered: its content hash does not fit")
     return cast("dict[str, Any]", manifest)
+
+
+def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
+    """Read an ``.npy`` file, decompressed if its name ends in ``.xz``, and verify it.
+
+    Raises
+    ------
+    ArtefactError
+        If the file is missing, truncated, altered or not an array.
+    """
+    content = _read_bytes(file, sha256)
+    try:
+        with _PARSING:
+            return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+    except (ValueError, EOFError) as error:
+        raise ArtefactError(f"{file} is no array: {error}") from error
+
+
+def _read_bytes(file: Path, sha256: str) -> bytes:
+    """Read a file, decompressed if its name ends in ``.xz``, and verify it.
+
+    Raises
+    ------
+    ArtefactError
+        If the file is missing, truncated or altered.
+    """
+    try:
+        content = file.read_bytes()
+        if file.suffix == ".xz":
+            content = lzma.decompress(content)
+    except OSError as error:
+        raise ArtefactError(f"the index file {file} cannot be read: {error.strerror}") from error
+    except lzma.LZMAError as error:
+        raise ArtefactError(f"the index file {file} is truncated or altered: {error}") from error
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise ArtefactError(f"the index file {file} was altered: its SHA-256 does not fit")
+    return content
 
 
 def stored_name(name: str) -> str:

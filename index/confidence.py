@@ -41,6 +41,23 @@ FEATURES = (
   10 px, with weights that fall off fast (near) or slowly (far) with their descriptor distance.
 """
 
+RERANKING_FEATURES = (
+    *FEATURES,
+    "log_likelihood",
+    "log_likelihood_below_best",
+    "log_likelihood_below_peak",
+    "log_share",
+    "log_expected_error_px",
+    "log_expected_error_px_squared",
+)
+"""Features of a hypothesis if there is a network: those of the match, and
+
+- the log-likelihood of its joints, and that log-likelihood relative to the likeliest hypothesis and
+  to the likeliest position of each joint by itself;
+- the logarithm of its share of the probability, by its distance relative to the others';
+- the logarithm of its joint error as the network expects it, and the square of that logarithm.
+"""
+
 RIGHT_BELOW_PX = 5.0
 """A hypothesis is right if its mean joint error in the 128x48 frame is below this."""
 

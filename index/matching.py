@@ -128,7 +128,7 @@ class Match:
         nearer one after such a hypothesis gets its distance.
     features : (N, F) float64 array
         Features from which the confidences were computed: :data:`index.confidence.FEATURES`, or
-        :data:`index.reranker.RERANKING_FEATURES`; none with landmarks.
+        :data:`index.confidence.RERANKING_FEATURES`; none with landmarks.
     front_probability : float
         Probability that the camera sees the person from the front: the confidence of hypotheses
         that face it, as a share of the confidence of all. It does not depend on how many were

@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymilvus import MilvusClient, MilvusException
 
-from index.artefact import find_artefact, load_index
-from index.files import ArtefactError
+from index.artefact import ArtefactError, find_artefact, load_index
 from index.search import UnavailableError
 from index.store import PoseIndex
 

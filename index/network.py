@@ -17,12 +17,14 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
+from index.confidence import RERANKING_FEATURES, Calibration
 from index.skeleton import JOINTS, OTHER_SIDE
 
 Array = NDArray[np.float32]
@@ -375,3 +377,47 @@ def _windows(values: Array, size: int, stride: int) -> Array:
         writeable=False,
     )
     return cut.reshape(rows, columns, -1)
+
+
+@dataclass(frozen=True)
+class RankingModel:
+    """The network and the confidence that was fitted with it.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Over :data:`index.confidence.RERANKING_FEATURES`.
+    training : dict
+        JSON values that describe the training data.
+    order_weight : float
+        Weight of the joints' log-likelihood relative to the logarithm of the distance, in the order
+        of hypotheses.
+    support_weight : float
+        The same for the candidates from which hypotheses are made.
+    spread : (float, float, float)
+        Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
+        metres; with zeros, joints do not move.
+    """
+
+    network: JointNetwork
+    calibration: Calibration
+    training: dict[str, Any] = field(default_factory=dict)
+    # Both weights were chosen on clips and bodies that neither the network nor the experiment on
+    # simulated silhouettes has.
+    order_weight: float = 3.0
+    support_weight: float = 1.0
+    # Chosen on every second clip of the experiment on simulated silhouettes; 2 to 4 pixels do
+    # equally well.
+    spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
+
+    def __post_init__(self) -> None:
+        if self.calibration.features != RERANKING_FEATURES:
+            raise ValueError(
+                f"expected a calibration over {', '.join(RERANKING_FEATURES)}, "
+                f"got one over {', '.join(self.calibration.features)}"
+            )
+
+    @classmethod
+    def of(cls, network: JointNetwork) -> RankingModel:
+        """A network without a fitted confidence: every hypothesis gets 0.5."""
+        return cls(network, Calibration.none(RERANKING_FEATURES))

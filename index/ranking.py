@@ -1,6 +1,6 @@
 """The order of hypotheses by a network that predicts joints from the silhouette.
 
-The network itself is in :mod:`index.network`, its file in :mod:`index.reranker`.
+The network itself is in :mod:`index.network`, its file in :mod:`index.artefact`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.modes import Modes
-from index.network import Distributions, joint_positions
-from index.reranker import RankingModel
+from index.network import Distributions, RankingModel, joint_positions
 from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 (_PELVIS,) = rows("pelvis")
@@ -85,7 +84,7 @@ class NetworkRanking:
     def features(
         self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute :data:`index.reranker.RERANKING_FEATURES` ``(M, F)``.
+        """Compute :data:`index.confidence.RERANKING_FEATURES` ``(M, F)``.
 
         Parameters
         ----------

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
-from index import DEFAULT_PATH as DEFAULT_PATH
 from index.confidence import Calibration
-from index.reranker import RankingModel
+from index.network import RankingModel
 from index.search import (
     LANDMARK_DIMENSION,
     ExactNeighbours,

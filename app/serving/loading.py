@@ -26,8 +26,7 @@ from app.scheduling.process import (
 from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
-from index.artefact import load_index
-from index.files import ArtefactError
+from index.artefact import ArtefactError, load_index
 from index.search import UnavailableError
 from index.store import PoseIndex
 

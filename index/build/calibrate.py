@@ -14,10 +14,9 @@ from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.build.views import MAX_OWN_ROLL_DEG
-from index.confidence import FEATURES, RIGHT_BELOW_PX, Calibration
+from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration
 from index.matching import DEFAULT_HYPOTHESES, match
 from index.posture import POSTURES
-from index.reranker import RERANKING_FEATURES
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
 
@@ -96,7 +95,7 @@ class Trial:
     ----------
     features : (Q, N, F) float64 array
         Columns are :data:`index.confidence.FEATURES`, or
-        :data:`index.reranker.RERANKING_FEATURES` if the index has a network.
+        :data:`index.confidence.RERANKING_FEATURES` if the index has a network.
         0 where an index has fewer than N poses to offer.
     confidence : (Q, N) float64 array
         As features.

@@ -27,6 +27,7 @@ from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.noise import degrade
 from index.build.views import MAX_OWN_ROLL_DEG
+from index.confidence import RERANKING_FEATURES
 from index.network import (
     AXES,
     CONVOLUTIONS,
@@ -36,6 +37,7 @@ from index.network import (
     QUANT_MAX,
     JointNetwork,
     Layer,
+    RankingModel,
     bin_positions,
     input_planes,
     largest_sums,
@@ -44,7 +46,6 @@ from index.network import (
     quantise,
     quantised_relu,
 )
-from index.reranker import RERANKING_FEATURES, RankingModel
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 

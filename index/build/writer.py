@@ -19,9 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, unpack
-from index.artefact import FORMAT_VERSION, MANIFEST, SILHOUETTES, stored_name, version_of
-from index.files import ArtefactError
-from index.reranker import RERANKING_FORMAT_VERSION, RERANKING_JSON, RERANKING_NPZ, RankingModel
+from index.artefact import (
+    FORMAT_VERSION,
+    MANIFEST,
+    RERANKING_FORMAT_VERSION,
+    RERANKING_JSON,
+    RERANKING_NPZ,
+    SILHOUETTES,
+    ArtefactError,
+    stored_name,
+    version_of,
+)
+from index.network import RankingModel
 from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex

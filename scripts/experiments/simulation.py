@@ -30,9 +30,8 @@ from index.build.simulate import Simulation
 from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import FEATURES, RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
-from index.network import AXES
+from index.network import AXES, RankingModel
 from index.posture import LOW, POSTURES, classify_postures
-from index.reranker import RankingModel
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 from index import DEFAULT_PATH
-from index.artefact import load_index
+from index.artefact import load_index, load_reranker
 from index.build.builder import IndexSpec, build, hold_out
 from index.build.motion import Segment, read_manifest
 from index.build.writer import save_index
-from index.reranker import RankingModel, load_reranker
+from index.network import RankingModel
 from index.store import PoseIndex
 
 

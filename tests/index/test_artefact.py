@@ -3,23 +3,40 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import hashlib
 import json
 import lzma
+import pickle
 import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import faiss
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
 from descriptor.descriptor import DiscriminantDescriptor
-from index.artefact import FORMAT_VERSION, find_artefact, load_index
-from index.build.writer import npy_bytes, save_index
-from index.files import ArtefactError
-from index.store import PoseIndex
+from index.artefact import (
+    FORMAT_VERSION,
+    RERANKING_JSON,
+    RERANKING_NPZ,
+    ArtefactError,
+    find_artefact,
+    load_index,
+    load_reranker,
+    read_array,
+)
+from index.build.writer import npy_bytes, save_index, save_reranker
+from index.network import RankingModel
+from index.store import ENTRY_DTYPE, PoseIndex
 from tests.index.helpers import contents, seal
+from tests.support.programs import output_of
 
 
 class TestRoundTrip:
@@ -189,3 +206,160 @@ class TestFind:
         (saved / "manifest.json").write_text("{")
         with pytest.raises(ArtefactError, match="found none"):
             find_artefact(tmp_path, version)
+
+
+@pytest.fixture
+def with_network(saved: Path, reranker: RankingModel) -> Path:
+    save_reranker(reranker, saved)
+    return saved
+
+
+def test_saved_network_is_loaded(with_network: Path, reranker: RankingModel) -> None:
+    back = load_index(with_network).reranker
+    assert back is not None
+    assert back.calibration == reranker.calibration
+    assert back.training == reranker.training
+    assert_array_equal(back.network.layers[-1].offsets, reranker.network.layers[-1].offsets)
+
+
+def test_saving_a_network_does_not_change_the_index(
+    toy_index: PoseIndex, reranker: RankingModel, tmp_path: Path
+) -> None:
+    version = save_index(toy_index, tmp_path / "index")
+    before = {file: file.read_bytes() for file in (tmp_path / "index").iterdir()}
+    save_reranker(reranker, tmp_path / "index")
+    assert load_index(tmp_path / "index").version == version
+    assert all(file.read_bytes() == content for file, content in before.items())
+
+
+def test_index_is_saved_with_its_network(
+    reranked: PoseIndex, with_network: Path, tmp_path: Path
+) -> None:
+    save_index(reranked, tmp_path / "again")
+    assert all(
+        (tmp_path / "again" / name).read_bytes() == (with_network / name).read_bytes()
+        for name in (RERANKING_JSON, RERANKING_NPZ)
+    )
+
+
+def test_index_without_a_network(toy_index: PoseIndex, tmp_path: Path) -> None:
+    save_index(toy_index, tmp_path / "plain")
+    assert load_reranker(tmp_path / "plain") is None
+    assert load_index(tmp_path / "plain").reranker is None
+
+
+def altered(content: bytes) -> bytes:
+    return content[:1000] + bytes([content[1000] ^ 1]) + content[1001:]
+
+
+def manifest_with(**changed: object) -> Callable[[bytes], bytes]:
+    return lambda content: json.dumps({**json.loads(content), **changed}).encode()
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "said"),
+    [
+        (RERANKING_NPZ, altered, "reranking.npz was altered: its SHA-256 does not fit"),
+        (RERANKING_NPZ, None, "reranking.npz cannot be read: No such file"),
+        (RERANKING_JSON, None, "lacks its manifest reranking.json"),
+        *((RERANKING_JSON, lambda _, text=text: text, "reranking.json")
+          for text in (b"", b"[]", b"{}", b'{"format_version": 2}')),
+        (RERANKING_JSON, manifest_with(format_version=9), "this service reads format 2"),
+        (RERANKING_JSON,
+         manifest_with(confidence={"features": ["shoe_size"], "weights": [1], "bias": 0}),
+         "expected a calibration over"),
+    ],
+)  # fmt: skip
+def test_damaged_network_is_refused_in_one_sentence(
+    with_network: Path, file: str, change: Callable[[bytes], bytes] | None, said: str
+) -> None:
+    if change is None:
+        (with_network / file).unlink()
+    else:
+        (with_network / file).write_bytes(change((with_network / file).read_bytes()))
+    with pytest.raises(ArtefactError, match=said) as error:
+        load_index(with_network)
+    assert "\n" not in str(error.value)
+
+
+def test_number_of_threads_does_not_matter(reranked: PoseIndex, tmp_path: Path) -> None:
+    """Log-likelihoods on one thread and on two are the same but for their own sums."""
+    save_index(reranked, tmp_path / "index")
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from index.artefact import load_index\n"
+        "from index.network import joint_positions\n"
+        "index = load_index(Path(sys.argv[1]))\n"
+        "seen = index.reranker.network.distributions(index.silhouette(3))\n"
+        "positions = joint_positions(*index.points(np.arange(50)))\n"
+        "print(*seen.log_likelihood(positions).tolist())\n"
+    )
+    answers = []
+    for threads in ("1", "2"):
+        limits = {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        said = output_of(sys.executable, "-c", code, tmp_path / "index", **limits)
+        answers.append([float(word) for word in said.split()])
+    assert_allclose(*answers, rtol=1e-12)
+
+
+def written(folder: Path, array: NDArray[np.generic], *, compressed: bool) -> tuple[Path, str]:
+    content = npy_bytes(array)
+    file = folder / ("array.npy.xz" if compressed else "array.npy")
+    file.write_bytes(lzma.compress(content) if compressed else content)
+    return file, hashlib.sha256(content).hexdigest()
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.arange(600_000, dtype=np.float32).reshape(2, 3, -1),
+        np.zeros(7, ENTRY_DTYPE),
+        np.empty((0, 5), np.uint8),
+        np.array(3.5),
+    ],
+    ids=["large", "records", "empty", "scalar"],
+)
+def test_round_trip(tmp_path: Path, array: NDArray[np.generic], compressed: bool) -> None:
+    read = read_array(*written(tmp_path, array, compressed=compressed))
+    assert read.dtype == array.dtype and read.shape == array.shape
+    assert_array_equal(read, array)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"PK", npy_bytes(np.arange(10, dtype=np.uint8))[:-4], pickle.dumps("an object")],
+    ids=["empty", "no array", "too short", "pickle"],
+)
+def test_other_content_is_refused(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "array.npy"
+    file.write_bytes(content)
+    with pytest.raises(ArtefactError, match=r"array\.npy is no array"):
+        read_array(file, hashlib.sha256(content).hexdigest())
+
+
+@pytest.fixture
+def threads_take_turns_often() -> Iterator[None]:
+    """Have threads change in the middle of whatever allocates memory."""
+
+    def pause(*_: object) -> None:
+        time.sleep(1e-5)
+
+    interval, threshold = sys.getswitchinterval(), gc.get_threshold()
+    sys.setswitchinterval(1e-6)
+    gc.set_threshold(20)
+    gc.callbacks.append(pause)
+    yield
+    gc.callbacks.remove(pause)
+    gc.set_threshold(*threshold)
+    sys.setswitchinterval(interval)
+
+
+@pytest.mark.usefixtures("threads_take_turns_often")
+def test_many_threads_read_at_once(tmp_path: Path) -> None:
+    array = np.arange(32, dtype=np.uint8)
+    file, sha256 = written(tmp_path, array, compressed=False)
+    with ThreadPoolExecutor(8) as pool:
+        for read in pool.map(lambda _: read_array(file, sha256), range(100)):
+            assert_array_equal(read, array)

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from index.artefact import load_index
+from index.artefact import ArtefactError, load_index
 from index.build.writer import save_index
-from index.files import ArtefactError
 from index.search import UnavailableError
 from index.store import PoseIndex
 from tests.conftest import build_tiny_index

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.matching import match
 from index.modes import find_modes
+from index.network import RankingModel
 from index.ranking import NetworkRanking
-from index.reranker import RankingModel
 from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of

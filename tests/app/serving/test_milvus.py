@@ -17,9 +17,8 @@ from app.main import create_app
 from app.photograph import Estimator
 from app.serving import loading
 from app.settings import Settings
-from index.artefact import load_index
+from index.artefact import ArtefactError, load_index
 from index.build.writer import save_index
-from index.files import ArtefactError
 from index.search import Neighbours, UnavailableError
 from index.store import PoseIndex
 from tests.conftest import Photo

@@ -13,9 +13,8 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import outline_distances, pack
-from index.artefact import load_index
+from index.artefact import ArtefactError, load_index
 from index.build.writer import compress, halved, save_index
-from index.files import ArtefactError
 from index.store import PoseIndex
 from tests.index.helpers import contents, seal
 from tests.support.programs import run
