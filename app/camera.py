@@ -17,7 +17,7 @@ from app.scheduling.job import Job
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track, appearance_histogram, associate
-from app.tracking.zones import Zone
+from app.tracking.zones import Zone, is_outside
 from app.vision.geometry import Box
 from app.vision.silhouettes import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
@@ -125,6 +125,9 @@ class CameraSession:
         timestamp = self._time_of(timestamp, arrived)
         decoded = self._estimator.decode(upload, job)
         frame, pixels = decoded.frame, decoded.pixels
+        warnings = decoded.warnings
+        if any(is_outside(zone.polygon, decoded.sent.shape) for zone in zones):
+            warnings = (*warnings, "zone_outside")
         zones = [replace(zone, polygon=pixels.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(frame.shape, timestamp)
         sightings = self._find(upload, decoded, evidence, timestamp, job)
@@ -141,7 +144,7 @@ class CameraSession:
         return TrackedFrame(
             frame=decoded.sent,
             camera=decoded.camera,
-            warnings=decoded.warnings,
+            warnings=warnings,
             frame_index=self._frames - 1,
             timestamp=timestamp,
             session="new" if self._frames == 1 else "warm",

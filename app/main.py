@@ -10,7 +10,6 @@ import anyio
 from fastapi import FastAPI
 from fastapi.middleware.cors import CORSMiddleware
 from fastapi.middleware.gzip import GZipMiddleware
-from starlette.formparsers import MultiPartParser
 from starlette.types import Scope
 
 from app.camera import CameraSession
@@ -92,8 +91,6 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
-        # Uploads stay in memory, within the limits of admission: no photograph reaches a disk.
-        MultiPartParser.spool_max_size = max(settings.max_upload_bytes, settings.max_video_bytes)
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(keep_index_loaded, runtime)

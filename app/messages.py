@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -13,11 +13,11 @@ from pydantic import BeforeValidator
 SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
 _MAX_VALUE_CHARACTERS = 60
+_MAX_DIGITS = 18  # Python refuses to convert thousands of digits.
 _WHOLE = re.compile("[+-]?[0-9]+")
 
 _EXPECTED = {
     "int_parsing": "a whole number",
-    "int_parsing_size": "a smaller number",
     "int_from_float": "a whole number",
     "float_parsing": "a number",
     "float_type": "a number",
@@ -33,7 +33,8 @@ _EXPECTED = {
     "string_type": "text",
     "string_pattern_mismatch": "text of the form {pattern}",
     "list_type": "a list",
-    "json_invalid": "valid JSON",
+    "dict_type": "a JSON object",
+    "model_type": "a JSON object",
 }
 
 
@@ -46,6 +47,9 @@ def _refuse_underscores(value: object) -> object:
 def _refuse_all_but_digits(value: object) -> object:
     if isinstance(value, str) and not _WHOLE.fullmatch(value):
         raise ValueError(f"expected a whole number, got {shortened(value)}")
+    if isinstance(value, str) and len(value) > _MAX_DIGITS:
+        most = f"at most {_MAX_DIGITS} digits"
+        raise ValueError(f"expected a whole number of {most}, got {shortened(value)}")
     return value
 
 
@@ -74,6 +78,8 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
         return "expected a value, got none"
     if kind == "value_error":  # A validator of our own, whose sentence is complete.
         return str(context["error"])
+    if kind == "json_invalid":
+        return f"expected valid JSON: {context['error']}"
     if kind in ("too_short", "too_long"):
         short = kind == "too_short"
         bound = f"at least {context['min_length']}" if short else f"at most {context['max_length']}"
@@ -92,14 +98,30 @@ def located(error: Mapping[str, Any]) -> tuple[str, str]:
     >>> located({"type": "list_type", "loc": ("zones", 0, "polygon"), "input": 1})
     ('zones[0].polygon', 'expected a list, got 1')
     """
-    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in error["loc"])
-    return "".join(steps)[1:], expected_and_got(error)
+    steps = (
+        f"[{step}]" if isinstance(step, int) else f".{step}"
+        for step in error["loc"]
+        if step != "[key]"  # The name before it is at fault, not its value.
+    )
+    return "".join(steps).removeprefix("."), expected_and_got(error)
 
 
 def shortened(value: object) -> str:
     """Quote a value, shortened if it is long."""
-    text, most = repr(value), _MAX_VALUE_CHARACTERS
+    text, most = "null" if value is None else repr(value), _MAX_VALUE_CHARACTERS
     return text if len(text) <= most else f"{text[:most]}..."
+
+
+def expected_name(name: str, known: Collection[str], kind: str, got: str = "") -> str:
+    """Word the error that a name is not known; ``got`` is added before the suggestion.
+
+    Examples
+    --------
+    >>> expected_name("masc", ("mask", "frame"), "fields")
+    'expected one of the fields mask, frame; did you mean mask?'
+    """
+    expected = f"one of the {kind} {', '.join(known)}" if known else f"no {kind}"
+    return f"expected {expected}{got}{suggestion(name, {name: name for name in known})}"
 
 
 def suggestion(name: str, known: Mapping[str, str]) -> str:

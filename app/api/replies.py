@@ -18,7 +18,7 @@ from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.zones import Zone
+from app.tracking.zones import Zone, is_outside
 from app.vision.optics import PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
@@ -398,6 +398,11 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
         zones=[
             tracking_schemas.Zone(name=zone.name, kind=zone.kind, polygon=zone.polygon.tolist())
             for zone in camera.settings.zones
+        ],
+        zones_outside=[
+            zone.name
+            for zone in camera.settings.zones
+            if session and is_outside(zone.polygon, (session.height, session.width))
         ],
         fov_deg=camera.settings.fov_deg,
         pixel_aspect=camera.settings.pixel_aspect,

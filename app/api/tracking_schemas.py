@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator
+from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from app.api.schemas import (
     FieldOfView,
@@ -20,6 +20,7 @@ from app.api.schemas import (
     Probability,
 )
 from app.film import VideoEndReason
+from app.messages import expected_name, shortened
 from app.tracking.results import EventName, EventState
 from app.tracking.zones import ZoneKind, has_area
 from index.posture import PostureName
@@ -52,7 +53,21 @@ class TrackUpload(FrameUpload):
     )
 
 
-class Zone(Model):
+class _Given(Model):
+    """Part of a configuration that a caller sends."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _check_names(cls, given: object) -> object:
+        # Pydantic would refuse unknown names too, but not list the known ones.
+        for name in given if isinstance(given, dict) else ():
+            if name not in cls.model_fields:
+                got = f", got {shortened(name)}"
+                raise ValueError(expected_name(name, cls.model_fields, "fields", got))
+        return given
+
+
+class Zone(_Given):
     """A region of a camera's image."""
 
     name: str = Field(
@@ -73,7 +88,8 @@ class Zone(Model):
     ] = Field(
         min_length=3,
         max_length=MAX_CORNERS,
-        description="Corners `[x, y]` in order, in pixels of the frame; it may reach beyond it.",
+        description="Corners `[x, y]` in order, in pixels of the frame. It may reach beyond the "
+        "frame, and cross itself: what it then surrounds twice lies outside of it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
@@ -81,11 +97,12 @@ class Zone(Model):
     @classmethod
     def _holds_something(cls, polygon: list[list[float]]) -> list[list[float]]:
         if not has_area(np.array(polygon)):
-            raise ValueError("expected corners around an area, got all of them on one line")
+            got = "all of them within a pixel" if np.ptp(polygon, axis=0).max() <= 1 else "a line"
+            raise ValueError(f"expected corners around an area, in pixels of the frame, got {got}")
         return polygon
 
 
-class CameraConfiguration(Model):
+class CameraConfiguration(_Given):
     """The configuration of a camera."""
 
     zones: list[Zone] = Field(
@@ -253,6 +270,11 @@ class CameraState(Model):
 
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
     zones: list[Zone] = Field(description="As `PUT` or the service's file set them.")
+    zones_outside: list[str] = Field(
+        description="Names of the zones that lie wholly outside the last frame, so that nobody is "
+        "ever in them. Empty without a session.",
+        examples=[[]],
+    )
     fov_deg: FieldOfView | None = Field(
         description="Horizontal field of view, degrees, as configured. Null if not configured."
     )

@@ -168,42 +168,26 @@ class AdmissionMiddleware:
         return _has_room(alike, lambda other: other.received, most, upload.caller)
 
     async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
-        refusal: ProblemError | None = None
-        started = False
-
         async def counting_receive() -> Message:
-            nonlocal refusal
             if upload.complete:
                 return await receive()
             try:
                 message = await upload.next(receive)
             except TimeoutError:
-                refusal = ProblemError(
+                raise ProblemError(
                     408,
                     f"expected the whole upload in {upload.limits.upload_timeout_s:g} seconds, "
                     "without a pause",
                     reason="slow_upload",
                     headers={"Connection": "close"},
-                )
-                raise refusal from None
+                ) from None
             if upload.received > upload.limits.max_bytes:
-                refusal = _too_large(upload.limits)
-                raise refusal
+                raise _too_large(upload.limits)
             if not self._has_memory(upload):
-                refusal = _too_many()
-                raise refusal
+                raise _too_many()
             return message
 
-        async def replacing_send(message: Message) -> None:
-            # The framework turns the errors raised above into its own 400, which is replaced here.
-            nonlocal started
-            if refusal is None:
-                await send(message)
-            elif not started:
-                started = True
-                await ProblemResponse(refusal)(scope, receive, send)
-
-        await self.app(scope, counting_receive, replacing_send)
+        await self.app(scope, counting_receive, send)
 
 
 def is_foreign(headers: Headers, allowed: Collection[str]) -> bool:

@@ -145,9 +145,6 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
             return ProblemResponse(_not_found(request, table))
         if error.status_code == 405:
             return ProblemResponse(_not_allowed(request, table))
-        if error.status_code == 400:  # The form cannot be parsed; the words are the parser's.
-            detail = "expected a well-formed multipart/form-data body of at most 1000 parts"
-            return ProblemResponse(ProblemError(400, detail, reason="undecodable"))
         return ProblemResponse(
             ProblemError(error.status_code, str(error.detail), headers=error.headers)
         )

@@ -192,12 +192,10 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
         return CameraConfiguration.model_validate_json(body)
     except ValidationError as error:
         first = error.errors()[0]
-        if first["type"] == "json_invalid" or not first["loc"]:
-            raise ProblemError(
-                422, 'expected a JSON object such as {"zones": []}, got something else'
-            ) from None
         place, sentence = located(first)
-        raise ProblemError(422, f"{place}: {sentence}", field=place) from None
+        raise ProblemError(
+            422, f"{place}: {sentence}" if place else sentence, field=place or None
+        ) from None
 
 
 @router.put(

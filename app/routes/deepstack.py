@@ -20,7 +20,14 @@ from app.http.identity import (
 from app.messages import expected_and_got
 from app.routes.openapi import documented
 from app.routes.queries import NoQuery
-from app.routes.uploads import check_fields, file_of, is_multipart, text_of, unsupported_body
+from app.routes.uploads import (
+    check_fields,
+    file_of,
+    form_of,
+    is_multipart,
+    text_of,
+    unsupported_body,
+)
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
 
@@ -48,7 +55,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
         raise unauthorised(has_key=True)
     if not is_multipart(request):
         raise unsupported_body(request)
-    async with request.form() as form:
+    async with form_of(request) as form:
         api_keys = runtime_of(request).settings.api_keys
         key = text_of(form, "api_key")
         is_open = identity.has_key or not api_keys

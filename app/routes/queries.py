@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import Depends, Request
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
 from app.api.replies import ReplyForm
 from app.api.schemas import (
@@ -23,13 +23,28 @@ from app.api.tracking_schemas import LATEST_TIMESTAMP_S
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import ProblemError
-from app.messages import NUMBER, WHOLE_NUMBER, suggestion
+from app.messages import NUMBER, WHOLE_NUMBER, expected_name
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 _MAX_NAME_CHARACTERS = 60
 
-Timestamp = Annotated[FiniteFloat, Field(ge=0, le=LATEST_TIMESTAMP_S), NUMBER]
+
+def _check_seconds(timestamp: float) -> float:
+    if timestamp > LATEST_TIMESTAMP_S:
+        raise ValueError(
+            f"expected seconds, at most {LATEST_TIMESTAMP_S:.0f}, got {timestamp:.15g}; "
+            "divide milliseconds by 1000"
+        )
+    return timestamp
+
+
+Timestamp = Annotated[
+    FiniteFloat,
+    Field(ge=0, json_schema_extra={"maximum": LATEST_TIMESTAMP_S}),
+    NUMBER,
+    AfterValidator(_check_seconds),
+]
 
 _HypothesisCount = Annotated[
     int,
@@ -69,9 +84,7 @@ def check_names(given: Iterable[str], known: Collection[str], kind: str) -> None
     for name in given:
         if name not in known:
             short = name[:_MAX_NAME_CHARACTERS]
-            expected = f"one of the {kind} {', '.join(known)}" if known else f"no {kind}"
-            meant = suggestion(short, {name: name for name in known})
-            raise ProblemError(422, f"{short}: expected {expected}{meant}", field=short)
+            raise ProblemError(422, f"{short}: {expected_name(short, known, kind)}", field=short)
 
 
 def check_given_once(given: Iterable[str], unit: str) -> None:

@@ -23,7 +23,7 @@ from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
 from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, SequenceQuery
-from app.routes.uploads import check_fields, is_multipart, is_video, unsupported_body
+from app.routes.uploads import check_fields, form_of, is_multipart, is_video, unsupported_body
 from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
 from app.video.reader import VideoFrame, VideoReader, new_file, open_video
@@ -75,7 +75,7 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
             async for chunk in request.stream():
                 file.write(chunk)
         elif is_multipart(request):
-            async with request.form() as form:
+            async with form_of(request) as form:
                 check_fields(form, VideoUpload.model_fields)
                 part = form.get("video")
                 if not isinstance(part, UploadFile):

@@ -9,18 +9,20 @@ Limits on size and time are enforced earlier, in :mod:`app.http.admission`.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import AsyncIterator, Collection
+from contextlib import asynccontextmanager
 from typing import Annotated, Any, NamedTuple
 
 from fastapi import Depends, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
 from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 
 from app.api.schemas import FrameUpload
 from app.api.tracking_schemas import MAX_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
-from app.messages import expected_and_got, shortened
+from app.messages import expected_and_got, located, shortened
 from app.routes.queries import Timestamp, check_given_once, check_names
 from app.serving.runtime import runtime_of
 from app.settings import Settings
@@ -50,6 +52,42 @@ def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemErr
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
 
+class _FormParser(MultiPartParser):
+    """Starlette's parser, which keeps all files in memory and notices where a form was cut off."""
+
+    spool_max_size = 2**62  # Admission limits uploads: no photograph reaches a disk.
+    is_complete = False
+
+    def on_end(self) -> None:
+        """Note the boundary that ends the form."""
+        self.is_complete = True
+
+
+@asynccontextmanager
+async def form_of(request: Request) -> AsyncIterator[FormData]:
+    """Parse the form of a request; raise a 400 if it is none. Its files are closed at the end."""
+    parser = _FormParser(request.headers, request.stream())
+    if "boundary=" not in request.headers["content-type"].lower():
+        such = f"{_MULTIPART}; boundary=x"
+        raise _broken_form(f"expected a boundary in the content type, such as {such}, got none")
+    try:
+        form = await parser.parse()
+    except MultiPartException:
+        raise _broken_form(
+            f"expected a well-formed {_MULTIPART} body of at most 1000 parts"
+        ) from None
+    try:
+        if not parser.is_complete:
+            raise _broken_form("expected a form that ends with its boundary, got a part of one")
+        yield form
+    finally:
+        await form.close()
+
+
+def _broken_form(sentence: str) -> ProblemError:
+    return ProblemError(400, sentence, reason="undecodable")
+
+
 def check_fields(form: FormData, known: Collection[str]) -> None:
     """Raise a 422 if a form holds an unknown field, or a field twice."""
     names = [name for name, _ in form.multi_items()]
@@ -63,7 +101,9 @@ async def file_of(form: FormData, field: str) -> bytes | None:
     if isinstance(part, UploadFile):
         return None if not part.filename and not part.size else await part.read()
     if part:
-        raise ProblemError(422, f"{field}: expected a file, got text", field=field)
+        raise ProblemError(
+            422, f"{field}: expected a file, which has a filename, got text", field=field
+        )
     return None
 
 
@@ -116,7 +156,7 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
         return Upload(await request.body()), None
     if not is_multipart(request):
         raise unsupported_body(request, "multipart/form-data or image/*")
-    async with request.form() as form:
+    async with form_of(request) as form:
         check_fields(form, model.model_fields)
         boxes, timestamp = text_of(form, "boxes"), text_of(form, "timestamp")
         track_ids, settings = text_of(form, "track_ids"), runtime_of(request).settings
@@ -170,12 +210,10 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     try:
         boxes = _BOXES.validate_json(text)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = "".join(f"[{part}]" for part in first["loc"])
+        place, sentence = located(error.errors()[0])
         raise ProblemError(
             422,
-            "boxes: expected a JSON list of [x, y, width, height], "
-            f"got a mistake at boxes{place}: {expected_and_got(first)}",
+            f"boxes{place}: {sentence}; boxes are a JSON list of [x, y, width, height]",
             field="boxes",
         ) from None
     for position, (_, _, width, height) in enumerate(boxes):
@@ -202,6 +240,7 @@ def _parse_track_ids(text: str, settings: Settings) -> list[str]:
         raise ProblemError(
             422,
             "track_ids: expected a JSON list of texts of 1 to "
-            f"{MAX_TRACK_ID_CHARACTERS} characters or whole numbers, got {shortened(text)}",
+            f"{MAX_TRACK_ID_CHARACTERS} characters or whole numbers of 64 bits, "
+            f"got {shortened(text)}",
             field="track_ids",
         ) from None

@@ -48,6 +48,12 @@ def has_area(polygon: NDArray[np.float64]) -> bool:
     return bool(spread / math.sqrt(len(polygon)) > _MIN_SPREAD_PX)
 
 
+def is_outside(polygon: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
+    """Whether a polygon ``(P, 2)`` lies wholly beside, above or below a frame ``(H, W, ...)``."""
+    last = np.array([shape[1], shape[0]]) - 0.5
+    return bool((polygon.max(axis=0) < -0.5).any() or (polygon.min(axis=0) > last).any())
+
+
 def contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
     """Whether a point ``(2,)`` lies in a polygon ``(P, 2)``, by the even-odd rule.
 

@@ -27,10 +27,11 @@ warnings.filterwarnings("ignore", module="PIL")
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
-ImageWarning = Literal["dark", "stretched", "truncated", "damaged"]
+ImageWarning = Literal["dark", "stretched", "truncated", "damaged", "zone_outside"]
 """``dark``: the picture is too dark to show much; ``stretched``: a 16-bit image used only part of
 its range, which was stretched; ``truncated``: the end of the image is missing; ``damaged``: a frame
-of a video whose data is incomplete or wrong."""
+of a video whose data is incomplete or wrong; ``zone_outside``: a zone of the camera lies outside
+the frame."""
 
 
 class ImageError(ValueError):

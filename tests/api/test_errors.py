@@ -25,6 +25,7 @@ FRAME = png(np.full((240, 320, 3), 200, np.uint8))
 MASK = png(np.pad(np.ones((100, 30), np.uint8), ((70, 70), (145, 145))))
 BROKEN = b"\xff\xd8\xff\xe0" + b"x" * 99
 MULTIPART = "multipart/form-data; boundary=b"
+PART = b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n' + FRAME
 BOX = "[[1, 2, 30, 40]]"
 YARD, DEEPSTACK = "/cameras/yard/frames", "/v1/vision/detection"
 FRAMES = ("/pose", "/pose/overlay", "/silhouette")
@@ -71,7 +72,10 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
           for path in FRAMES for mask in (MASK, png(np.zeros((240, 320), np.uint8)), b"?")),
         *((path, form(mask=b"?"), "mask", "") for path in FRAMES),
         *(("/pose", body(content), "frame", "") for content in (b"", BROKEN)),
-        ("/pose", body(b"--b\r\nnonsense", "multipart/form-data"), None, "well-formed multipart"),
+        ("/pose", body(b"--b\r\nnonsense", "multipart/form-data"), None, "boundary=x, got none"),
+        ("/pose", body(b"--a\r\nnonsense", MULTIPART), None, "well-formed multipart"),
+        ("/pose", body(b"--b\r\nnonsense", MULTIPART), None, "ends with its boundary"),
+        ("/pose", body(PART, MULTIPART), None, "ends with its boundary"),
         (DEEPSTACK, form(image=b"?"), "image", "image: "),
         ("/sequence", form(video=b"#EXTM3U\n/etc/x\n"), "video", "something else or a broken"),
     ],
@@ -128,19 +132,24 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         ("/pose", form(frame=FRAME, mask=MASK, background=FRAME), "background", ""),
         ("/pose", form(mask=MASK, boxes=BOX), "boxes", ""),
         ("/pose", form(mask=MASK, background=FRAME), "background", ""),
-        ("/pose", body(b"--b\r\nnonsense", MULTIPART), "frame", ""),
         ("/pose", form(mask=figures(10, 60, 150)), "mask", "3 figures apart with the same label"),
         *((path, form(background=FRAME), "frame", "") for path in FRAMES),
         *((path, form(frame="", boxes=BOX), "frame", "") for path in FRAMES),
     ],
     (422, "invalid"): [
         *(("/pose", form(frame=FRAME, boxes=boxes), "boxes", said) for boxes, said in (
-            ("no", ""), ("{}", ""), ("[[1, 2, 3]]", ""), ("[[1, 2, 3, 4, 5]]", ""),
+            ("no", "expected valid JSON: "), ("{}", "boxes: expected a list, got {}; boxes are"),
+            ("[[1, 2, 3]]", "boxes[0]: expected at least 4 values, got 3; boxes are a JSON list"),
+            (f"[[{'9' * 5000}]]", "expected valid JSON: number out of range"),
+            ("[[1, 2, 30, null]]", "boxes[0][3]: expected a number, got null"),
+            ("[[1, 2, 3, 4, 5]]", ""),
             ('[["a", 2, 3, 4]]', ""), ("[[NaN, 2, 3, 4]]", ""), ("[[true, 2, 3, 4]]", ""),
-            ('[["1", 2, 3, 4]]', ""), ("[[1, 2, 30, null]]", ""), ("[[1e400, 2, 3, 4]]", ""),
+            ('[["1", 2, 3, 4]]', ""), ("[[1e400, 2, 3, 4]]", ""),
         )),
         *(("/pose", form(**{"frame": FRAME, field: "frame.jpg"}), field, "")
           for field in ("frame", "mask", "background")),
+        ("/pose", body(PART.replace(b"filename", b"filename*") + b"\r\n--b--", MULTIPART),
+         "frame", "a file, which has a filename, got text"),
         ("/pose", form(frame=FRAME, boxes=BOX.encode()), "boxes", ""),
         *((path, form((name, MASK), frame=FRAME, mask=MASK), name, said)
           for path in FRAMES for name, said in (
@@ -150,6 +159,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
               ("mask", "mask: expected one part, got 2"))),
         *((f"/pose?{query}", form(frame=FRAME), query.split("=")[0], said) for query, said in (
             ("n=0", ""), ("n=x", ""), ("n=51", "n: expected at most 50, got '51'"),
+            (f"n={'9' * 5000}", "n: expected a whole number of at most 18 digits, got"),
             ("keypoints=body25", ""), ("evidence=video", ""),
             ("silhouettes=png", "'none', 'rle' or 'polygon'"),
             ("m=3", "m: expected one of the query parameters evidence, fov_deg, joints, keypoints"),
@@ -178,9 +188,12 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
           for name in ("a b", "x" * 65, "a\u00e9", "yard%0A")),
         *(("/pose", form(frame=FRAME) | {"headers": {"X-Camera-ID": name}}, "X-Camera-ID",
            "A-Za-z0-9") for name in ("", "a b", "x" * 65, 'a"b', ".", "..")),
-        *(request for text in ("nan", "inf", "-1", "1764000000000", "noon") for request in (
-            (YARD, form(frame=FRAME, timestamp=text), "timestamp", ""),
-            (f"{YARD}?timestamp={text}", form(frame=FRAME), "timestamp", ""))),
+        *(request for text, said in (
+            ("nan", ""), ("inf", ""), ("-1", ""), ("noon", ""),
+            ("1764000000000", "expected seconds, at most 100000000000, got 1764000000000; divide"),
+        ) for request in (
+            (YARD, form(frame=FRAME, timestamp=text), "timestamp", said),
+            (f"{YARD}?timestamp={text}", form(frame=FRAME), "timestamp", said))),
         (f"{YARD}?timestamp=1", form(frame=FRAME, timestamp="1"), "timestamp", "got both"),
         *((YARD, track(text), "track_ids", "1 to 64 characters") for text in (
             '["17", ""]', '["17", true]', '["17", 1.5]', '{"17": 1}', f'["17", "{"x" * 65}"]',
@@ -191,12 +204,14 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             (zones(name=""), "zones[0].name", "some text"),
             (zones(name="x" * 65), "zones[0].name", "64"),
             (zones(polygon=corners()), "zones[0].polygon", "expected at least 3 values"),
-            (zones(polygon=corners([100, 100])), "zones[0].polygon", "on one line"),
-            (zones(polygon=[[5, 5]] * 4), "zones[0].polygon", "on one line"),
+            (zones(polygon=[[0.1, 0.1], [0.9, 0.1], [0.5, 0.9]]), "zones[0].polygon", "pixels of"),
+            (zones(polygon=corners([100, 100])), "zones[0].polygon", "got a line"),
+            (zones(polygon=[[5, 5]] * 4), "zones[0].polygon", "within a pixel"),
             (zones(polygon=[[0, 0]] * (MAX_CORNERS + 1)), "zones[0].polygon", "64"),
             (zones(polygon=corners([1])), "zones[0].polygon[2]", "2 values"),
             (zones(polygon=corners(["1", 2])), "zones[0].polygon[2][0]", "number"),
-            (zones(colour="red"), "zones[0].colour", "not permitted"),
+            (zones(colour="red"), "zones[0]", "fields name, kind, polygon, got 'colour'"),
+            ({"json": {"zone": []}}, None, "got 'zone'; did you mean zones?"),
             (zones(ZONE, ZONE), "zones", "'door' twice"),
             (zones(*[ZONE] * (MAX_ZONES + 1)), "zones", "expected at most 32 values, got 33"),
             (zones(*[{}] * 60_000), "zones", "at most 32 zones of 64 corners"),
@@ -205,7 +220,9 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ({"content": json.dumps({"zones": [ZONE]}).replace("240", "1e999")},
              "zones[0].polygon[2][1]", "finite"),
             *(({"content": content}, None, "JSON object") for content in (
-                b"", b"{", b"[]", b"null", b'"zones"', b"\xff", b'{"zones": [{]}', b"[" * 9999)),
+                b"[]", b"null", b'"zones"')),
+            *(({"content": content}, None, "valid JSON: ") for content in (
+                b"", b"{", b"\xff", b'{"zones": [{]}', b"[" * 9999, b"9" * 5000)),
         )),
         ("PUT /cameras/a b", {"json": {"zones": []}}, "camera_id", ""),
         *(("PUT /cameras/lens", {"json": {"zones": [], field: value}}, field, "")

@@ -129,9 +129,9 @@ class TestFile:
         ("text", "problem"),
         [
             ("{", "expected valid JSON"),
-            ("[]", "input should be an object"),
-            ('{"../yard": {}}', "expected text of the form"),
-            ('{"yard": {"zone": []}}', "yard.zone: extra inputs are not permitted"),
+            ("[]", "expected a JSON object, got []"),
+            ('{"../yard": {}}', "../yard: expected text of the form"),
+            ('{"yard": {"zone": []}}', "yard: expected one of the fields zones, fov_deg,"),
             ('{"yard": {"zones": [{"name": "bed"}]}}', "yard.zones[0].kind: expected a value"),
         ],
     )
@@ -202,6 +202,14 @@ class TestPeople:
             event = events[person["track_id"]]
             assert (event["event"], event["state"]) == ("entered", "instant")
             assert event["zones"] == person["zones"]
+
+    def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:
+        away = {"name": "away", "kind": "watch", "polygon": [[400, 0], [500, 0], [450, 90]]}
+        assert configure(client, LEFT, away, RIGHT).json()["zones_outside"] == []
+        assert send(client, photo).json()["image"]["warnings"] == ["zone_outside"]
+        assert client.get("/cameras/yard").json()["zones_outside"] == ["away"]
+        assert configure(client, LEFT, RIGHT).json()["zones_outside"] == []
+        assert send(client, photo).json()["image"]["warnings"] == []
 
     def test_new_zones_hold_from_the_next_frame_on(self, client: TestClient, photo: Photo) -> None:
         (before,) = send(client, photo).json()["persons"]

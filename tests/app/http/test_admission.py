@@ -6,11 +6,11 @@ from typing import Any
 
 import anyio
 import pytest
-from starlette.responses import PlainTextResponse
+from starlette.responses import PlainTextResponse, Response
 from starlette.types import Message, Receive, Scope, Send
 
 from app.http.admission import AdmissionMiddleware, UploadLimits
-from app.http.errors import ProblemError
+from app.http.errors import ProblemError, ProblemResponse
 from app.http.identity import Caller, Identity
 from app.scheduling.queue import OverloadedError
 
@@ -48,12 +48,12 @@ async def answer(
 
 
 async def reading(scope: Scope, receive: Receive, send: Send) -> None:
-    response = PlainTextResponse("done")
+    response: Response = PlainTextResponse("done")
     try:
         while (await receive()).get("more_body"):
             pass
-    except ProblemError:  # As the framework does if a body cannot be read.
-        response = PlainTextResponse("cannot be read", 400)
+    except ProblemError as error:
+        response = ProblemResponse(error)
     await response(scope, receive, send)
 
 

@@ -76,6 +76,13 @@ def test_of_two_halves_a_point_is_in_exactly_one(split: float, x: float, y: floa
         assert contains(left, point) + contains(right, point) == 1
 
 
+def test_a_polygon_that_crosses_itself_is_what_it_surrounds_once() -> None:
+    bowtie = np.array([[0.0, 0.0], [60.0, 60.0], [0.0, 60.0], [60.0, 0.0]])
+    inside = [contains(bowtie, np.array(point)) for point in ([30, 10], [30, 50], [10, 30])]
+    assert inside == [True, True, False]
+    assert has_area(bowtie)
+
+
 @pytest.mark.parametrize("posture", [*POSTURES, None])
 def test_people_are_where_their_feet_are_or_on_the_ground_their_centre(
     posture: PostureName | None,
