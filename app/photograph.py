@@ -15,7 +15,7 @@ from app.estimation.results import Estimate, Evidence, Facing, Person, Projected
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box
 from app.vision.judgement import load_photograph_models
@@ -224,7 +224,8 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     # for each other after every layer. A copy takes 43 MB; those of the other networks save less.
     readers = min(concurrency, cores)
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
-    reader = PersonReader(landmarks, KeypointReader(movenet))
+    masks = MaskNetwork(network_path("pose_mask"), threads=threads, copies=readers)
+    reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
     return Models(detector, reader, load_photograph_models())

@@ -18,8 +18,8 @@ is. No 8-bit layer follows a floating-point one, so that rounding cannot amplify
 which processors differ. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
 requirements with the service; this file imports nothing of the project.
 
-MediaPipe's pose detector is taken as it is. The heatmaps of its landmark network, which the service
-does not read, are dropped; mask, landmarks, presence and world coordinates stay.
+MediaPipe's pose detector is taken as it is. Its landmark network is cut in two: landmarks, presence
+and world coordinates, and the mask, which not every reading needs. Its heatmaps are dropped.
 """
 
 from __future__ import annotations
@@ -58,16 +58,28 @@ DETECTION = "mediapipe/modules/pose_detection/pose_detection.tflite"
 LANDMARKS = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
 """The networks in the wheel."""
 
-KEPT = (
+BODY = (
     "Identity",
     "Identity_1",
-    "Identity_2",
     "Identity_4",
     "model_1/model/add_8/add",
     "model_1/model/re_lu_63/Relu6;model_1/model/add_22/add",
 )
-"""Outputs of the landmark network: landmarks, presence, mask, world coordinates; then two feature
-maps that it computes on the way, 8x8x144 and 2x2x288."""
+"""Outputs of the landmark network: landmarks, presence, world coordinates; then two feature maps
+that it computes on the way, 8x8x144 and 2x2x288."""
+
+MASK_INPUTS = (
+    "model_1/model/batch_normalization_2/FusedBatchNormV3;"
+    "model_1/model/depthwise_conv2d_32/depthwise;model_1/model/conv2d_1/Conv2D1",
+    "model_1/model/add/add",
+    "model_1/model/add_1/add",
+    "model_1/model/add_5/add",
+    "model_1/model/re_lu_31/Relu6;model_1/model/batch_normalization_46/FusedBatchNormV3;"
+    "model_1/model/depthwise_conv2d_15/depthwise;model_1/model/depthwise_conv2d_20/depthwise",
+)
+"""What the mask is made of: feature maps of 128, 64, 32, 16 and 8 rows."""
+
+MASK = ("Identity_2",)
 
 _FILE_IDENTIFIER = b"TFL3"
 
@@ -177,13 +189,20 @@ def to_tflite(graph: Any, outputs: tuple[str, ...], pictures: list[Any]) -> byte
     return content
 
 
-def keep_outputs(model: bytes, kept: tuple[str, ...] = KEPT) -> bytes:
-    """Reduce a TFLite network to what the outputs of some names need, in that order.
+def part_of(model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = ()) -> bytes:
+    """Cut the part out of a TFLite network that leads from tensors of some names to others.
+
+    Parameters
+    ----------
+    outputs : tuple of str
+        The part's outputs, in their order.
+    inputs : tuple of str
+        The part's inputs; by default those of the network.
 
     Raises
     ------
     ValueError
-        If the network has no such output.
+        If the network has no such tensor.
     """
     import flatbuffers
     from ai_edge_litert import schema_py_generated as schema
@@ -191,25 +210,44 @@ def keep_outputs(model: bytes, kept: tuple[str, ...] = KEPT) -> bytes:
     network: Any = schema.ModelT.InitFromPackedBuf(model, 0)
     graph = network.subgraphs[0]
     names = [tensor.name.decode() for tensor in graph.tensors]
-    missing = [name for name in kept if name not in names]
+    missing = [name for name in (*inputs, *outputs) if name not in names]
     if missing:
-        raise ValueError(f"expected a network with the outputs {', '.join(missing)}")
-    graph.outputs = [names.index(name) for name in kept]
-    needed = set(graph.outputs)
-    operators = []
+        raise ValueError(f"expected a network with the tensors {', '.join(missing)}")
+    if inputs:
+        graph.inputs = [names.index(name) for name in inputs]
+    graph.outputs = [names.index(name) for name in outputs]
+    given, needed, operators = set(graph.inputs), set(graph.outputs), []
     for operator in reversed(graph.operators):
-        if needed.intersection(operator.outputs):
+        if (needed - given).intersection(operator.outputs):
             needed.update(number for number in operator.inputs if number >= 0)
             operators.append(operator)
     graph.operators = operators[::-1]
-    used = {graph.tensors[number].buffer for number in needed}
-    for number, buffer in enumerate(network.buffers):
-        if number not in used:
-            buffer.data = None
+    _renumber(network, sorted(needed | given))
     network.signatureDefs = None
     builder = flatbuffers.Builder(len(model))
     builder.Finish(network.Pack(builder), _FILE_IDENTIFIER)
     return bytes(builder.Output())
+
+
+def _renumber(network: Any, kept: list[int]) -> None:
+    """Keep some tensors of a network and their buffers only; names of inputs and outputs alone."""
+    graph = network.subgraphs[0]
+    place = {number: row for row, number in enumerate(kept)}
+    graph.tensors = [graph.tensors[number] for number in kept]
+    graph.inputs, graph.outputs = (
+        [place[number] for number in numbers] for numbers in (graph.inputs, graph.outputs)
+    )
+    for operator in graph.operators:
+        operator.inputs = [place.get(number, -1) for number in operator.inputs]
+        operator.outputs = [place[number] for number in operator.outputs]
+    # The first buffer is empty by definition.
+    buffers = [0, *sorted({tensor.buffer for tensor in graph.tensors} - {0})]
+    network.buffers = [network.buffers[number] for number in buffers]
+    ends = {*graph.inputs, *graph.outputs}
+    for number, tensor in enumerate(graph.tensors):
+        tensor.buffer = buffers.index(tensor.buffer)
+        tensor.name = tensor.name if number in ends else None
+    network.metadata, network.metadataBuffer = None, None
 
 
 def convert_movenet(model: Path, pictures: Path | None) -> dict[str, bytes]:
@@ -225,7 +263,8 @@ def convert_blazepose(wheel: Path, _: Path | None) -> dict[str, bytes]:
     with zipfile.ZipFile(wheel) as content:
         return {
             "pose_detection.tflite": content.read(DETECTION),
-            "pose_landmarks.tflite": keep_outputs(content.read(LANDMARKS)),
+            "pose_landmarks.tflite": part_of(content.read(LANDMARKS), BODY + MASK_INPUTS),
+            "pose_mask.tflite": part_of(content.read(LANDMARKS), MASK, MASK_INPUTS),
         }
 
 

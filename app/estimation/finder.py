@@ -129,9 +129,15 @@ class PeopleFinder:
         return found
 
     def read(
-        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
+        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job, *, masks: bool
     ) -> list[PoseReading | None]:
-        """Read landmarks and masks of people; None where a track's window shows nobody any more."""
+        """Read landmarks of people, and masks if wanted.
+
+        Returns
+        -------
+        list of PoseReading or None
+            None where a track's window shows nobody any more.
+        """
         reader = self.models.reader
 
         def read(target: Target) -> PoseReading | None:
@@ -143,8 +149,14 @@ class PeopleFinder:
             found = found or Detection(target.box, 1.0)
             return reader.read(frame, found.box, found.keypoints, found.windows, expected)
 
+        def finished(target: Target) -> PoseReading | None:
+            reading = read(target)
+            if reading is None:
+                return None
+            return reader.with_mask(reading) if masks else replace(reading, mask_inputs=())
+
         with job.stage("keypoints"):
-            return job.map(read, targets)
+            return job.map(finished, targets)
 
     def observe(
         self,
@@ -177,7 +189,9 @@ class PeopleFinder:
             One for each target; None where nobody is seen, or a body that another target shows.
         """
         frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
-        readings = self.read(frame, targets, job) if reads else [None] * len(targets)
+        readings: list[PoseReading | None] = [None] * len(targets)
+        if reads:
+            readings = self.read(frame, targets, job, masks=cut is None)
         rows = distinct(targets, readings) if reads and not marked else [*range(len(targets))]
         boxes = [_box(targets[row], readings[row]) for row in rows]
         with job.stage("segment"):

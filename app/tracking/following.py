@@ -114,7 +114,7 @@ class TrackedPeopleDetector:
     ) -> Expected:
         """Read tracks in their windows; those that still show their people, with the readings."""
         targets = [target for target, _ in _followed(expected, timestamp)]
-        readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
+        readings = zip(expected, self._finder.read(frame, targets, job, masks=True), strict=True)
         return {track: reading for track, reading in readings if reading is not None}
 
 

@@ -1,11 +1,12 @@
-"""BlazePose [1]_: the person detector and the landmark network.
+"""BlazePose [1]_: the person detector, the landmark network and its mask.
 
 The detector finds large people in any orientation, each with a circle about the body. The network
 has anchors at the centres of the cells of three grids. It gives each anchor a score and the offsets
 of a box and of four points: the first is the middle of the hips, the second lies on the circle
 about the body, in the direction of the head.
 
-The landmark network reads mask, landmarks and depth of the person in a window in one pass.
+The landmark network reads landmarks and depth of the person in a window in one pass. The mask
+takes a second pass, of the maps that the first one leaves.
 
 References
 ----------
@@ -14,7 +15,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -51,10 +52,13 @@ class PoseReading:
         In pixels of the frame, and metres.
     presence : float
         The network's probability that a person is in the window.
-    probability : (256, 256) float32 array
-        Probability that each pixel of the window shows the person.
     next_window : PersonWindow
         The window that the landmarks point to.
+    probability : (256, 256) float32 array, optional
+        Probability that each pixel of the window shows the person; None before
+        :meth:`MaskNetwork.read`.
+    mask_inputs : tuple of (S, S, C) float32 array
+        What the mask is made of, 2 MB; empty where there is a mask, or none is wanted.
     keypoints : ObservedKeypoints, optional
         MoveNet's keypoints of the same person, in pixels of the frame.
     network_pass : NetworkPass, optional
@@ -64,8 +68,9 @@ class PoseReading:
     window: PersonWindow
     landmarks: Landmarks
     presence: float
-    probability: NDArray[np.float32]
     next_window: PersonWindow
+    probability: NDArray[np.float32] | None = None
+    mask_inputs: tuple[NDArray[np.float32], ...] = ()
     keypoints: ObservedKeypoints | None = None
     network_pass: NetworkPass | None = None
 
@@ -89,6 +94,9 @@ class PoseReading:
 
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 """Rows, columns and channels of the feature maps: middle and last."""
+
+# Feature maps that the mask is made of.
+_MASK_SHAPES = ((128, 128, 16), (64, 64, 24), (32, 32, 32), (16, 16, 88), (8, 8, 864))
 
 # Points of the landmark network: the landmarks, the centre of the circle about the body, its point
 # in the direction of the head, and others. Each has x, y, z, visibility and presence.
@@ -173,22 +181,17 @@ class LandmarkNetwork:
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
         self._network = TfliteNetwork(
             path,
-            (LANDMARK_PX, LANDMARK_PX, 3),
-            [
-                (_POINT_VALUES * _POINTS,),
-                (1,),
-                (LANDMARK_PX, LANDMARK_PX, 1),
-                (3 * _POINTS,),
-                *MAP_SHAPES,
-            ],
+            [(LANDMARK_PX, LANDMARK_PX, 3)],
+            [(_POINT_VALUES * _POINTS,), (1,), (3 * _POINTS,), *MAP_SHAPES, *_MASK_SHAPES],
             threads=threads,
             copies=copies,
         )
 
     def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
-        """Read the person in a window of a frame ``(H, W, 3)``, BGR."""
+        """Read the person in a window of a frame ``(H, W, 3)``, BGR; without the mask."""
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
-        values, presence, log_odds, world, *maps = self._network.run(image * np.float32(1 / 255))
+        outputs = self._network.run(image * np.float32(1 / 255))
+        values, presence, world, middle, last, *mask_inputs = outputs
         raw_points, raw_world = values.reshape(_POINTS, _POINT_VALUES), world.reshape(_POINTS, 3)
         points = raw_points.astype(np.float64)
         to_frame = window.to_frame(LANDMARK_PX)
@@ -202,10 +205,28 @@ class LandmarkNetwork:
             window,
             Landmarks(positions[:LANDMARKS], visibility, metres),
             float(presence[0]),
-            sigmoid(log_odds[..., 0]),
             PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
-            network_pass=NetworkPass(raw_points, raw_world, float(presence[0]), *maps),
+            mask_inputs=tuple(mask_inputs),
+            network_pass=NetworkPass(raw_points, raw_world, float(presence[0]), middle, last),
         )
+
+
+class MaskNetwork:
+    """The part of BlazePose's landmark network that draws the mask; thread-safe.
+
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
+        mask = (LANDMARK_PX, LANDMARK_PX, 1)
+        self._network = TfliteNetwork(path, _MASK_SHAPES, [mask], threads=threads, copies=copies)
+
+    def read(self, reading: PoseReading) -> PoseReading:
+        """The same reading with its mask."""
+        if reading.probability is not None:
+            return reading
+        (log_odds,) = self._network.run(*reading.mask_inputs)
+        return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())
 
 
 @dataclass(frozen=True)
@@ -243,7 +264,7 @@ class BlazePoseDetector:
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
         self._network = TfliteNetwork(
             path,
-            (DETECTOR_PX, DETECTOR_PX, 3),
+            [(DETECTOR_PX, DETECTOR_PX, 3)],
             [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)],
             threads=threads,
             copies=copies,

@@ -68,7 +68,9 @@ class MoveNet:
         copies: int = 1,
     ) -> None:
         heads = [(None, None, channels) for channels in _CHANNELS]
-        self._network = TfliteNetwork(path, (None, None, 3), heads, threads=threads, copies=copies)
+        self._network = TfliteNetwork(
+            path, [(None, None, 3)], heads, threads=threads, copies=copies
+        )
 
     def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
         """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.

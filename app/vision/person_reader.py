@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.geometry import Box, PersonWindow
 from app.vision.movenet import KeypointReader
 from app.vision.people import (
@@ -50,6 +50,7 @@ class PersonReader:
     """Reads people; thread-safe."""
 
     network: LandmarkNetwork
+    mask_network: MaskNetwork
     keypoint_reader: KeypointReader
 
     def read(
@@ -79,7 +80,8 @@ class PersonReader:
         Returns
         -------
         PoseReading
-            The best reading, its landmarks fused with the keypoints that agree with them.
+            The best reading, its landmarks fused with the keypoints that agree with them; without
+            the mask.
         """
         if keypoints is None:
             keypoints = self.keypoint_reader.read(frame, box)
@@ -114,6 +116,10 @@ class PersonReader:
             # The window may have led the network astray.
             return self.read(frame, box, keypoints)
         return fuse(reading, keypoints)
+
+    def with_mask(self, reading: PoseReading) -> PoseReading:
+        """The same reading with its mask."""
+        return self.mask_network.read(reading)
 
     def _best_reading(
         self,

@@ -40,7 +40,7 @@ def silhouettes_of(
     Parameters
     ----------
     readings : sequence of PoseReading
-        Of all people known in the frame.
+        Of all people known in the frame, with masks.
     boxes : sequence of Box
         The box of each.
     frame_shape : tuple of int
@@ -182,6 +182,7 @@ def _probability(
     offset = from_frame[:, :2] @ to_frame[:, 2] + from_frame[:, 2]
     matrix = np.column_stack([linear, offset])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    assert reading.probability is not None
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
 
 

@@ -19,12 +19,12 @@ class NetworkError(RuntimeError):
 
 
 class TfliteNetwork:
-    """A network from one image to several arrays; thread-safe.
+    """A network from some arrays to others; thread-safe.
 
     Parameters
     ----------
-    input_shape : (int or None, int or None, int)
-        Rows, columns and channels; None for a size that may vary.
+    input_shapes : sequence of (int or None, int or None, int)
+        Rows, columns and channels of each input; None for a size that may vary.
     output_shapes : sequence of the same
         Shape of each output.
     threads : int
@@ -41,7 +41,7 @@ class TfliteNetwork:
     def __init__(
         self,
         path: Path,
-        input_shape: Shape,
+        input_shapes: Sequence[Shape],
         output_shapes: Sequence[Shape],
         *,
         threads: int = 1,
@@ -57,10 +57,11 @@ class TfliteNetwork:
         with self._interpreter() as interpreter:
             inputs = [_shape(tensor) for tensor in interpreter.get_input_details()]
             outputs = [_shape(tensor) for tensor in interpreter.get_output_details()]
-        if inputs != [(1, *input_shape)] or outputs != [(1, *shape) for shape in output_shapes]:
+        expected = [[(1, *shape) for shape in shapes] for shapes in (input_shapes, output_shapes)]
+        if [inputs, outputs] != expected:
             raise NetworkError(
-                f"expected {path} to have one input {input_shape} and outputs "
-                f"{list(output_shapes)}, got {inputs} and {outputs}"
+                f"expected {path} to have the inputs {expected[0]} and the outputs "
+                f"{expected[1]}, got {inputs} and {outputs}"
             )
 
     @contextmanager
@@ -85,14 +86,14 @@ class TfliteNetwork:
             raise NetworkError(f"{self._path} is not a network LiteRT can run") from error
         return interpreter
 
-    def run(self, image: NDArray[np.float32]) -> list[NDArray[np.float32]]:
-        """Run the network on one input ``(H, W, C)`` and return each output."""
+    def run(self, *images: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        """Run the network on its inputs ``(H, W, C)`` and return each output."""
         with self._interpreter() as interpreter:
-            (source,) = interpreter.get_input_details()
-            if tuple(source["shape"]) != (1, *image.shape):
-                interpreter.resize_tensor_input(source["index"], (1, *image.shape))
-                interpreter.allocate_tensors()
-            interpreter.set_tensor(source["index"], image[None])
+            for source, image in zip(interpreter.get_input_details(), images, strict=True):
+                if tuple(source["shape"]) != (1, *image.shape):
+                    interpreter.resize_tensor_input(source["index"], (1, *image.shape))
+                    interpreter.allocate_tensors()
+                interpreter.set_tensor(source["index"], image[None])
             interpreter.invoke()
             outputs = interpreter.get_output_details()
             return [interpreter.get_tensor(output["index"])[0] for output in outputs]

@@ -59,6 +59,9 @@ class ColourReader:
         reading = self.read(frame, window)
         return reading if reading.presence > 0.5 and reading.drift < 0.35 else None
 
+    def with_mask(self, reading: PoseReading) -> PoseReading:
+        return reading
+
     def read(
         self,
         frame: NDArray[np.uint8],
@@ -89,8 +92,8 @@ class ColourReader:
             window,
             Landmarks(places, np.full(33, 0.9), np.column_stack([shares - 0.5, shares[:, 0]])),
             1.0 if seen else 0.0,
-            mask.astype(np.float32),
             PersonWindow(*corner.tolist(), 1.25 * PERSON) if seen else window,
+            mask.astype(np.float32),
         )
 
 

@@ -14,7 +14,7 @@ from app.estimation.results import Person
 from app.estimation.upload import Upload
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
-from app.vision.blazepose import PoseReading
+from app.vision.blazepose import MaskNetwork, PoseReading
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, silhouette_from_mask
@@ -123,6 +123,32 @@ def test_silhouette_evidence_ignores_the_photograph(
         for placed in person.hypotheses:
             assert placed.adjusted_m < 0.2
             assert placed.distance == placed.silhouette_distance
+
+
+@pytest.mark.parametrize("source", ["detector", "boxes", "mask"])
+def test_masks_are_drawn_for_those_who_are_kept_alone(
+    estimator: Estimator,
+    street: NDArray[np.uint8],
+    walker: Person,
+    monkeypatch: pytest.MonkeyPatch,
+    source: str,
+) -> None:
+    drawn: list[PoseReading] = []
+    draw = MaskNetwork.read
+
+    def count(network: MaskNetwork, reading: PoseReading) -> PoseReading:
+        drawn.append(reading)
+        return draw(network, reading)
+
+    monkeypatch.setattr(MaskNetwork, "read", count)
+    upload = {
+        "detector": Upload(png(street)),
+        "boxes": Upload(png(street), boxes=(WALKER,)),
+        "mask": Upload(png(street), mask=png(mask_of(walker, street.shape))),
+    }[source]
+    found = persons(estimator, upload)
+    assert found
+    assert len(drawn) == (0 if source == "mask" else len(found))
 
 
 LEAN_DEG = {1: 90.0, 2: 180.0, 3: -90.0}

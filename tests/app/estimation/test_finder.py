@@ -21,7 +21,7 @@ def reading(x: float, y: float = 0.0) -> PoseReading:
     landmarks = Landmarks(np.add(offsets, [x, y]), np.linspace(0.2, 1, 33), np.zeros((33, 3)))
     window = PersonWindow(x, y, 2 * WINDOW_SCALE * BODY_PX)
     probability = np.zeros((LANDMARK_PX, LANDMARK_PX), np.float32)
-    return PoseReading(window, landmarks, 1.0, probability, window)
+    return PoseReading(window, landmarks, 1.0, window, probability)
 
 
 def test_first_reading_of_each_body_is_kept() -> None:

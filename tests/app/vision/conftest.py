@@ -10,7 +10,7 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork
+from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
@@ -71,6 +71,11 @@ def landmark_network() -> LandmarkNetwork:
 
 
 @pytest.fixture(scope="session")
+def mask_network() -> MaskNetwork:
+    return MaskNetwork(network_path("pose_mask"))
+
+
+@pytest.fixture(scope="session")
 def body_detector() -> BlazePoseDetector:
     return BlazePoseDetector(network_path("pose_detection"))
 
@@ -88,5 +93,7 @@ def detector(make_network_detector: Callable[..., NetworkDetector]) -> NetworkDe
 
 
 @pytest.fixture(scope="session")
-def person_reader(landmark_network: LandmarkNetwork, reader: KeypointReader) -> PersonReader:
-    return PersonReader(landmark_network, reader)
+def person_reader(
+    landmark_network: LandmarkNetwork, mask_network: MaskNetwork, reader: KeypointReader
+) -> PersonReader:
+    return PersonReader(landmark_network, mask_network, reader)

@@ -16,6 +16,7 @@ from app.vision.blazepose import (
     LANDMARK_PX,
     BlazePoseDetector,
     LandmarkNetwork,
+    MaskNetwork,
     decode_anchors,
     sample_map,
 )
@@ -33,10 +34,14 @@ WALKER = pytest.mark.parametrize("number", range(3))
 
 @WALKER
 def test_landmarks_and_mask_are_the_walkers(
-    landmark_network: LandmarkNetwork, street: NDArray[np.uint8], walkers: list[Box], number: int
+    landmark_network: LandmarkNetwork,
+    mask_network: MaskNetwork,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+    number: int,
 ) -> None:
     box = walkers[number]
-    reading = landmark_network.read(street, PersonWindow.about_box(box))
+    reading = mask_network.read(landmark_network.read(street, PersonWindow.about_box(box)))
     assert reading.presence > 0.9
     landmarks = reading.landmarks
     assert ((landmarks.visibility >= 0) & (landmarks.visibility <= 1)).all()
@@ -50,6 +55,7 @@ def test_landmarks_and_mask_are_the_walkers(
     assert (np.diff(landmarks.positions[rows, 1].mean(axis=1)) > 0).all()
     heights = landmarks.metres[:, 1]
     assert heights[LANDMARK_NAMES.index("nose")] < -0.3 < 0.3 < heights[-1]
+    assert reading.probability is not None and mask_network.read(reading) is reading
     assert reading.probability.shape == (LANDMARK_PX, LANDMARK_PX)
     assert reading.probability.min() >= 0 and reading.probability.max() <= 1
     y, x = np.nonzero(reading.probability > 0.5)

@@ -8,10 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from app.vision.blazepose import LandmarkNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
-from app.vision.movenet import KeypointReader
+from app.vision.person_reader import PersonReader
 from app.vision.silhouettes import silhouettes_of
 
 PIXELS = 1_000_000
@@ -31,17 +30,18 @@ def peak_bytes(work: Callable[[], object]) -> int:
 
 @pytest.mark.parametrize("what", ["detector", "keypoints", "silhouette"])
 def test_thin_frames_take_no_more_memory(
-    detector: NetworkDetector, reader: KeypointReader, landmark_network: LandmarkNetwork, what: str
+    detector: NetworkDetector, person_reader: PersonReader, what: str
 ) -> None:
     def work(width: int) -> object:
         height = PIXELS // width
         frame = np.full((height, width, 3), 90, np.uint8)
         box = Box(-0.5, -0.5, width, height)
         if what == "keypoints":
-            return reader.read(frame, box)
+            return person_reader.keypoint_reader.read(frame, box)
         if what == "silhouette":
-            reading = landmark_network.read(frame, PersonWindow.about_box(box))
-            return silhouettes_of([reading], [box], frame.shape, exact=True)
+            reading = person_reader.network.read(frame, PersonWindow.about_box(box))
+            masked = person_reader.with_mask(reading)
+            return silhouettes_of([masked], [box], frame.shape, exact=True)
         return detector.detect(frame)
 
     square = peak_bytes(lambda: work(1000))

@@ -53,7 +53,7 @@ def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0) -> PoseReading:
     ]
     positions = np.stack([np.full(33, middle[0]), box.y + np.array(shares) * box.height], axis=1)
     landmarks = Landmarks(positions, np.ones(33), np.zeros((33, 3)))
-    return PoseReading(window, landmarks, 1.0, probability.astype(np.float32), window)
+    return PoseReading(window, landmarks, 1.0, window, probability.astype(np.float32))
 
 
 def cut_out(boxes: list[Box], *, exact: bool = True) -> list[Silhouette | None]:
@@ -188,7 +188,7 @@ ODD_BOXES = [Box(-30, -20, 50, 60), Box(5, 5, 1, 1), Box(200, 200, 10, 10), Box(
 def own(
     reader: PersonReader, frame: NDArray[np.uint8], boxes: list[Box]
 ) -> list[Silhouette | None]:
-    readings = [reader.read(frame, box) for box in boxes]
+    readings = [reader.with_mask(reader.read(frame, box)) for box in boxes]
     return silhouettes_of(readings, boxes, frame.shape, exact=True)
 
 

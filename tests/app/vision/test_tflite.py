@@ -27,7 +27,7 @@ def images(count: int, *shape: int) -> np.ndarray:
 
 @pytest.mark.parametrize("copies", [1, 3])
 def test_threads_agree(path: Path, copies: int) -> None:
-    network = TfliteNetwork(path, INPUT, OUTPUTS, copies=copies)
+    network = TfliteNetwork(path, [INPUT], OUTPUTS, copies=copies)
     inputs = images(8, *INPUT)
     expected = [network.run(image)[0] for image in inputs]
     with ThreadPoolExecutor(4) as pool:
@@ -37,14 +37,14 @@ def test_threads_agree(path: Path, copies: int) -> None:
 def test_pass_shared_by_two_threads_gives_the_same(path: Path) -> None:
     (image,) = images(1, *INPUT)
     alone, shared = (
-        TfliteNetwork(path, INPUT, OUTPUTS, threads=threads).run(image)[0] for threads in (1, 2)
+        TfliteNetwork(path, [INPUT], OUTPUTS, threads=threads).run(image)[0] for threads in (1, 2)
     )
     # Sums may be added in another order, in single precision.
     assert_allclose(shared, alone, atol=1e-3)
 
 
 def test_outputs_survive_the_next_run(path: Path) -> None:
-    network = TfliteNetwork(path, INPUT, OUTPUTS)
+    network = TfliteNetwork(path, [INPUT], OUTPUTS)
     first, second = images(2, *INPUT)
     output = network.run(first)[0]
     kept = output.copy()
@@ -53,7 +53,7 @@ def test_outputs_survive_the_next_run(path: Path) -> None:
 
 
 def test_failed_call_leaves_the_network_usable(path: Path) -> None:
-    network = TfliteNetwork(path, INPUT, OUTPUTS, copies=1)
+    network = TfliteNetwork(path, [INPUT], OUTPUTS, copies=1)
     (image,) = images(1, *INPUT)
     expected = network.run(image)[0]
     for _ in range(2):
@@ -64,10 +64,10 @@ def test_failed_call_leaves_the_network_usable(path: Path) -> None:
 
 def test_open_sizes_may_change_between_calls() -> None:
     path = network_path("movenet")
-    network = TfliteNetwork(path, (None, None, 3), HEADS)
+    network = TfliteNetwork(path, [(None, None, 3)], HEADS)
     for height, width in ((64, 96), (128, 32), (64, 96), (32, 32)):
         (image,) = 255 * images(1, height, width, 3)
-        fresh = TfliteNetwork(path, (None, None, 3), HEADS)
+        fresh = TfliteNetwork(path, [(None, None, 3)], HEADS)
         for ours, theirs in zip(network.run(image), fresh.run(image), strict=True):
             assert ours.shape[:2] == (height // 4, width // 4)
             assert_array_equal(ours, theirs)
@@ -75,17 +75,17 @@ def test_open_sizes_may_change_between_calls() -> None:
 
 def test_missing_and_broken_files_are_refused(path: Path, tmp_path: Path) -> None:
     with pytest.raises(NetworkError, match="cannot read"):
-        TfliteNetwork(tmp_path / "missing.tflite", INPUT, OUTPUTS)
+        TfliteNetwork(tmp_path / "missing.tflite", [INPUT], OUTPUTS)
     broken = tmp_path / "broken.tflite"
     half = path.read_bytes()[: path.stat().st_size // 2]
     for content in (b"", b"not a network" * 100, half):
         broken.write_bytes(content)
         with pytest.raises(NetworkError, match=r"broken\.tflite is not a network LiteRT can run"):
-            TfliteNetwork(broken, INPUT, OUTPUTS)
+            TfliteNetwork(broken, [INPUT], OUTPUTS)
 
 
 def test_another_network_is_refused(path: Path) -> None:
-    with pytest.raises(NetworkError, match=r"outputs \[\(2254, 2\)\], got .*2254, 12"):
-        TfliteNetwork(path, INPUT, [(2254, 2)])
-    with pytest.raises(NetworkError, match="one input"):
-        TfliteNetwork(path, (None, None, 3), HEADS)
+    with pytest.raises(NetworkError, match=r"outputs \[\(1, 2254, 2\)\], got .*2254, 12"):
+        TfliteNetwork(path, [INPUT], [(2254, 2)])
+    with pytest.raises(NetworkError, match=r"inputs \[\(1, None, None, 3\)\]"):
+        TfliteNetwork(path, [(None, None, 3)], HEADS)
