@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.detector import OVERVIEW_PX
-from app.vision.geometry import Box, PersonWindow, crop_and_resize
+from app.vision.geometry import Box, PersonWindow, crop_and_resize, resize
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
 from app.vision.movenet import keypoint_window
@@ -121,8 +121,7 @@ def write_pictures(studio: Studio, seed: int, count: int, folder: Path) -> None:
             small = crop_and_resize(image, *keypoint_window(Box(*photograph.box.tolist())))
         else:
             scale = min(columns / image.shape[1], rows / image.shape[0])
-            resized = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            small = np.asarray(resized, np.uint8)
+            small = resize(image, round(scale * image.shape[1]), round(scale * image.shape[0]))
         cv2.imwrite(str(folder / f"{number:04d}.png"), small)
 
 
