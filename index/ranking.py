@@ -82,13 +82,13 @@ class NetworkRanking:
         return modes.distances * np.exp(self.model.order_weight * lacking)
 
     def features(
-        self, features: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
+        self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Compute :data:`index.confidence.RERANKING_FEATURES` ``(M, F)``.
 
         Parameters
         ----------
-        features : (M, 11) float64 array
+        plain : (M, 11) float64 array
             Those of :data:`index.confidence.FEATURES`.
         distances : (M,) float64 array
             From :meth:`distances`.
@@ -100,7 +100,7 @@ class NetworkRanking:
         odds -= odds.max()
         return np.column_stack(
             [
-                features,
+                plain,
                 likelihood,
                 likelihood - likelihood.max(),
                 likelihood - self.joints.peak(),

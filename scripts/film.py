@@ -130,7 +130,7 @@ def film_stretch(
         return seen, focal * seen[..., :2] / seen[..., 2:]
 
     seen, points_2d = projected(world)
-    # A person lies within the radius, and clothes a little beyond.
+    # The body fits within the radius; clothes reach a little farther.
     half = focal * (radius + 0.5) / max(distance - radius - 0.5, 1.0) + _MARGIN_PX
     silhouettes = []
     for number, transform in enumerate(transforms):

@@ -38,7 +38,7 @@ TRUNK_BELOW_M = 0.3
 
 
 def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
-    """Turn the heads of each subject so that they look straight ahead in the median.
+    """Rotate each subject's head so that its median direction in upright frames is straight ahead.
 
     Parameters
     ----------

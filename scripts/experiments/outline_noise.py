@@ -56,9 +56,7 @@ def disturb_all(silhouettes: NDArray[np.uint8], std_px: float, seed: int) -> NDA
 
 
 def outline_faults(
-    silhouettes: NDArray[np.uint8],
-    joints: NDArray[np.floating],
-    generator: np.random.Generator,
+    silhouettes: NDArray[np.uint8], joints: NDArray[np.floating], generator: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.floating]]:
     """Add noise that a descriptor learns to overlook: 0 to 3 px, evenly distributed."""
     stds = generator.uniform(0.0, LEARNED_STD_PX, len(silhouettes))

@@ -86,10 +86,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
 
 
 def measure(
-    known: Simulation,
-    unseen: Simulation,
-    std_px: float,
-    descriptors: Mapping[str, Descriptor],
+    known: Simulation, unseen: Simulation, std_px: float, descriptors: Mapping[str, Descriptor]
 ) -> dict[str, NDArray[np.floating]]:
     """Return joint errors ``(Q, 7)`` in px at a noise, by descriptor and matching."""
     truth = view_joints(unseen)[1][:, None]

@@ -19,11 +19,7 @@ SPLITS = 3
 """Cross-validations, each with its own folds; figures are their mean."""
 
 FOLDS = 5
-DETECTORS = {
-    "both_networks_and_hog": [0, 1, 2],
-    "both_networks": [0, 2],
-    "movenet_alone": [0],
-}
+DETECTORS = {"both_networks_and_hog": [0, 1, 2], "both_networks": [0, 2], "movenet_alone": [0]}
 """Columns of the features that each detector uses."""
 
 Figures = dict[str, float]

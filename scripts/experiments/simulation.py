@@ -18,12 +18,7 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
 from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
-from index.build.calibrate import (
-    Queries,
-    Trial,
-    expected_calibration_error,
-    run_trial,
-)
+from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation

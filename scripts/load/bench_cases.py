@@ -36,8 +36,8 @@ Picture = NDArray[np.uint8]
 class Case:
     """One kind of request, sent in turn.
 
-    ``wanted_ratio`` is the target of the median, as a multiple of the yardstick's. Calls
-    ``in_order`` are sent once, so that no people are counted in their answers.
+    ``wanted_ratio`` is the target of the median, as a multiple of the yardstick's. Requests
+    ``in_order`` are sent once, in sequence; the people in their answers are not counted.
     """
 
     title: str

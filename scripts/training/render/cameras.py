@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 ASPECTS = (4 / 3, 4 / 3, 16 / 9, 16 / 9, 16 / 9, 3 / 4, 9 / 16, 1.0)
@@ -45,7 +46,7 @@ class Camera:
 
 
 def sample_camera(
-    target: NDArray[np.float64], floor: float, generator: np.random.Generator, *, close: bool
+    target: NDArray[np.float64], floor: float, generator: Generator, *, close: bool
 ) -> Camera:
     """A camera that sees a target ``(3,)`` somewhere in its frame.
 

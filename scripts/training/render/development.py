@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
-
-Generator = np.random.Generator
 
 DARK, INFRARED, GREY, SOFT = 0.08, 0.06, 0.06, 0.15
 """Shares of pictures that are dark, taken in infrared, grey, or enlarged from fewer pixels."""
@@ -15,7 +14,7 @@ DARK, INFRARED, GREY, SOFT = 0.08, 0.06, 0.06, 0.15
 def develop(
     light: NDArray[np.float32], size: tuple[int, int], generator: Generator
 ) -> NDArray[np.uint8]:
-    """Take a picture.
+    """Turn linear light into an 8-bit photograph: random blur, exposure, tone curve, noise.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Furniture, bags and animals as simple bodies.
 
-Things stand on the ground at height 0, in front of +z, unless they are made about a person: then
-in that person's axes, with the height of what carries them.
+Objects stand on the floor, at height 0, and face +z. Objects fitted to a person use the person's
+axes and the height of their support.
 """
 
 from __future__ import annotations
@@ -10,12 +10,11 @@ from collections.abc import Callable
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from scripts.training.render.materials import Materials, any_colour, cloth, surface
 from scripts.training.render.meshes import Mesh, box, ellipsoid, joined, sheet, tube, wheel
-
-Generator = np.random.Generator
 
 
 def _legs(
@@ -393,7 +392,7 @@ SUBJECTS: tuple[Maker, ...] = (
     animal, animal, animal, animal, bag, bag, heap, bust, plant, empty_chair, empty_table,
     empty_bed, cupboard, empty_cycle,
 )  # fmt: skip
-"""What windows without anybody are about."""
+"""What photographs without people show."""
 
 
 def wall_colour(generator: Generator) -> NDArray[np.float64]:

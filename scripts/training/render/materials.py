@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 PLAIN, STRIPES, BARS, CHECKS, BLOTCHES, PRINT, STRANDS, CELLS, PLANKS, TILES, GRAIN = range(11)
@@ -75,7 +76,7 @@ class Materials:
         )
 
 
-def any_colour(generator: np.random.Generator) -> NDArray[np.float64]:
+def any_colour(generator: Generator) -> NDArray[np.float64]:
     """Linear RGB of any hue, as photographs show it: seldom pure."""
     hue, saturation = generator.random(), generator.beta(1.0, 2.2)
     if generator.random() < 0.45:
@@ -86,7 +87,7 @@ def any_colour(generator: np.random.Generator) -> NDArray[np.float64]:
     return np.asarray((value * (1 - saturation + saturation * ramp)) ** 2.2)
 
 
-def cloth_colour(generator: np.random.Generator) -> NDArray[np.float64]:
+def cloth_colour(generator: Generator) -> NDArray[np.float64]:
     """Dark, white, denim or any."""
     chance = generator.random()
     if chance < 0.28:
@@ -98,7 +99,7 @@ def cloth_colour(generator: np.random.Generator) -> NDArray[np.float64]:
     return any_colour(generator)
 
 
-def cloth(generator: np.random.Generator) -> Material:
+def cloth(generator: Generator) -> Material:
     """Of clothes, blankets and upholstery."""
     colour = cloth_colour(generator)
     second = (
@@ -118,7 +119,7 @@ def cloth(generator: np.random.Generator) -> Material:
     )
 
 
-def surface(generator: np.random.Generator, *, pale: float = 0.35) -> Material:
+def surface(generator: Generator, *, pale: float = 0.35) -> Material:
     """Of walls, floors and furniture; a share of them is pale."""
     if generator.random() < pale:
         colour = generator.uniform(0.3, 0.8) * generator.uniform(0.85, 1.1, 3)

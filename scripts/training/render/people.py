@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -229,7 +230,7 @@ def posed_landmarks(person: Person, transforms: NDArray[np.float64]) -> NDArray[
     return np.asarray(np.einsum("bij,lbj->li", transforms, person.landmarks))
 
 
-def person_materials(materials: Materials, generator: np.random.Generator) -> NDArray[np.int32]:
+def person_materials(materials: Materials, generator: Generator) -> NDArray[np.int32]:
     """Add skin, hair and clothes of any colour; returns the row of each of :data:`PARTS`."""
     skin = SKINS[generator.integers(len(SKINS))] * generator.uniform(0.8, 1.2)
     hair = HAIRS[generator.integers(len(HAIRS))] * generator.uniform(0.6, 1.4)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
@@ -150,7 +151,7 @@ class Pose:
         self.turn(self.bones.shanks[side], about(axis, thigh + shank))
 
     def spread_arms(
-        self, angles: NDArray[np.float64], scatter: float, generator: np.random.Generator
+        self, angles: NDArray[np.float64], scatter: float, generator: Generator
     ) -> None:
         """Turn the left and the right arm outward, as they rest beside a body that lies."""
         front = np.cross(self.aside, [0.0, 1.0, 0.0])
@@ -161,7 +162,7 @@ class Pose:
             bend = about(front, generator.normal(0, 0.7))
             self.turn(self.bones.forearms[side], bend)
 
-    def turn_arms(self, forward: float, scatter: float, generator: np.random.Generator) -> None:
+    def turn_arms(self, forward: float, scatter: float, generator: Generator) -> None:
         """Turn both arms forward, and each a little by chance."""
         for side in (0, 1):
             chance = about(_direction(generator), generator.normal(0, scatter))
@@ -170,7 +171,7 @@ class Pose:
             self.turn(self.bones.forearms[side], bend)
 
 
-def _direction(generator: np.random.Generator) -> NDArray[np.float64]:
+def _direction(generator: Generator) -> NDArray[np.float64]:
     vector = generator.normal(size=3)
     return np.asarray(vector / np.linalg.norm(vector))
 
@@ -192,7 +193,7 @@ class PoseSource:
     _groups: dict[int, list[NDArray[np.int64]]] = field(default_factory=dict)
     _bones: dict[str, Bones] = field(default_factory=dict)
 
-    def recorded(self, wanted: int, generator: np.random.Generator) -> Pose:
+    def recorded(self, wanted: int, generator: Generator) -> Pose:
         """A recorded pose of a class; clips and actions count alike however long they are."""
         if wanted not in self._groups:
             rows = np.flatnonzero(self.classes == wanted)
@@ -210,7 +211,7 @@ class PoseSource:
         """Whether enough recorded poses are of a class."""
         return int((self.classes == wanted).sum()) >= 100
 
-    def draw(self, name: str, generator: np.random.Generator) -> Pose:
+    def draw(self, name: str, generator: Generator) -> Pose:
         """A pose that is meant to be of a class: recorded, or made."""
         wanted = FRAME_POSTURES.index(name)
         standing = FRAME_POSTURES.index("standing")
@@ -235,7 +236,7 @@ class PoseSource:
         pose.rotations = turned_to_front(pose.rotations[None])[0]
         return pose
 
-    def _exchange_arms(self, pose: Pose, generator: np.random.Generator) -> None:
+    def _exchange_arms(self, pose: Pose, generator: Generator) -> None:
         """Give a pose the trunk's upper end, arms and head of another."""
         other = self.recorded(int(generator.choice(np.unique(self.classes))), generator)
         if other.clip.bones != pose.clip.bones:
@@ -246,7 +247,7 @@ class PoseSource:
             pose.rotations[rows] = turn @ other.rotations[rows]
 
 
-def bend_over(pose: Pose, generator: np.random.Generator) -> None:
+def bend_over(pose: Pose, generator: Generator) -> None:
     """Turn the trunk forward at the hips, over straight or bent legs."""
     angle = np.deg2rad(generator.uniform(35, 120))
     twist = about(np.array([0.0, 1.0, 0.0]), np.deg2rad(generator.normal(0, 15)))
@@ -265,7 +266,7 @@ RIDERS = 0.1
 """Share of those who sit."""
 
 
-def sit(pose: Pose, generator: np.random.Generator) -> None:
+def sit(pose: Pose, generator: Generator) -> None:
     """Sit on something, with any legs, on the ground with the legs stretched out, or on a cycle."""
     if generator.random() < RIDERS:
         ride(pose, generator)
@@ -295,7 +296,7 @@ def sit(pose: Pose, generator: np.random.Generator) -> None:
         pose.turn(pose.bones.head, about(pose.aside, float(np.deg2rad(generator.uniform(0, 45)))))
 
 
-def ride(pose: Pose, generator: np.random.Generator) -> None:
+def ride(pose: Pose, generator: Generator) -> None:
     """Sit on a cycle, the hands at its bar: pedalling, or with both feet on rests."""
     pose.support = "cycle"
     pedals = generator.random() < 0.6
@@ -314,7 +315,7 @@ def ride(pose: Pose, generator: np.random.Generator) -> None:
     pose.turn(pose.bones.head, about(pose.aside, float(-lean * generator.uniform(0, 0.8))))
 
 
-def _cross_legs(pose: Pose, generator: np.random.Generator) -> None:
+def _cross_legs(pose: Pose, generator: Generator) -> None:
     """Thighs level and apart, shanks folded inward."""
     vertical = np.array([0.0, 1.0, 0.0])
     for side, sign in ((0, 1.0), (1, -1.0)):
@@ -324,7 +325,7 @@ def _cross_legs(pose: Pose, generator: np.random.Generator) -> None:
         pose.turn(pose.bones.shanks[side], about(vertical, float(sign * inward)))
 
 
-def _seated_leg(on_ground: bool, generator: np.random.Generator) -> tuple[float, float, float]:
+def _seated_leg(on_ground: bool, generator: Generator) -> tuple[float, float, float]:
     spread = generator.uniform(-5, 30)
     if on_ground:
         # Knees up, or legs stretched out ahead.
@@ -337,7 +338,7 @@ def _seated_leg(on_ground: bool, generator: np.random.Generator) -> tuple[float,
     return float(np.deg2rad(thigh)), float(np.deg2rad(shank)), float(np.deg2rad(spread))
 
 
-def crouch_or_kneel(pose: Pose, generator: np.random.Generator) -> None:
+def crouch_or_kneel(pose: Pose, generator: Generator) -> None:
     """Squat, or kneel on one knee or both, upright or on the heels."""
     way = generator.random()
     for side in (0, 1):
@@ -355,7 +356,7 @@ def crouch_or_kneel(pose: Pose, generator: np.random.Generator) -> None:
     pose.turn_arms(float(np.deg2rad(generator.uniform(0, 80))), 0.35, generator)
 
 
-def go_on_all_fours(pose: Pose, generator: np.random.Generator) -> None:
+def go_on_all_fours(pose: Pose, generator: Generator) -> None:
     """On hands and knees, or hands and feet."""
     on_feet = generator.random() < 0.2
     for side in (0, 1):
@@ -369,7 +370,7 @@ def go_on_all_fours(pose: Pose, generator: np.random.Generator) -> None:
     pose.turn(pose.bones.head, about(pose.aside, float(-np.deg2rad(generator.uniform(0, 60)))))
 
 
-def lie(pose: Pose, generator: np.random.Generator) -> None:
+def lie(pose: Pose, generator: Generator) -> None:
     """Lie on the back, the belly, a side or between, legs drawn up or not, propped up or not."""
     if generator.random() < 0.5:
         drawn = np.deg2rad(generator.uniform(0, 110))

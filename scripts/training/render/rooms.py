@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from index.build.body import about_vertical
@@ -23,6 +24,10 @@ from scripts.training.render.materials import (
 
 OUTDOORS = 0.22
 """Share of scenes that are streets or yards."""
+
+KINDS = ("window", "door", "picture", "shelf")
+KIND_LIMITS = (0.25, 0.45, 0.8)
+"""What hangs on walls or stands against them, and the cumulative shares of all but the last."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +57,7 @@ class Room:
     outdoors: bool
 
 
-def build_room(inside: NDArray[np.float64], floor: float, generator: np.random.Generator) -> Room:
+def build_room(inside: NDArray[np.float64], floor: float, generator: Generator) -> Room:
     """A room about some places ``(P, 3)`` in world axes."""
     turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
     if generator.random() < 0.35:
@@ -83,7 +88,7 @@ def build_room(inside: NDArray[np.float64], floor: float, generator: np.random.G
     return Room(turn, corners, table, _panels(corners, outdoors, generator), lamp, outdoors)
 
 
-def _wall(generator: np.random.Generator) -> Material:
+def _wall(generator: Generator) -> Material:
     colour = wall_colour(generator)
     kind = int(generator.choice([PLAIN, GRAIN, GRAIN, TILES, CELLS], p=[0.35, 0.3, 0.2, 0.1, 0.05]))
     other = colour * generator.uniform(0.8, 1.1)
@@ -93,7 +98,7 @@ def _wall(generator: np.random.Generator) -> Material:
     )  # fmt: skip
 
 
-def _floor(generator: np.random.Generator) -> Material:
+def _floor(generator: Generator) -> Material:
     material = surface(generator, pale=0.3)
     kind = int(generator.choice([PLAIN, GRAIN, PLANKS, TILES], p=[0.15, 0.4, 0.25, 0.2]))
     other = material.colour * generator.uniform(0.55, 1.2)
@@ -101,7 +106,7 @@ def _floor(generator: np.random.Generator) -> Material:
                     material.phase, float(generator.uniform(0.01, 0.05)))  # fmt: skip
 
 
-def _ceiling(outdoors: bool, generator: np.random.Generator) -> Material:
+def _ceiling(outdoors: bool, generator: Generator) -> Material:
     if outdoors:
         sky = np.array([0.5, 0.62, 0.85]) * generator.uniform(0.5, 1.6)
         return Material(sky, np.repeat(generator.uniform(0.5, 1.2), 3), GRAIN, 0.1)
@@ -110,7 +115,7 @@ def _ceiling(outdoors: bool, generator: np.random.Generator) -> Material:
     return Material(colour, colour * 0.7, kind, 1.6, 0.0, 0.02)
 
 
-def _facade(generator: np.random.Generator) -> Material:
+def _facade(generator: Generator) -> Material:
     """Houses, hedges, far away."""
     colour = any_colour(generator) * 0.8 + 0.05
     kind = int(generator.choice([GRAIN, CELLS, TILES, PLAIN], p=[0.45, 0.2, 0.25, 0.1]))
@@ -120,14 +125,14 @@ def _facade(generator: np.random.Generator) -> Material:
 
 
 def _panels(
-    corners: NDArray[np.float64], outdoors: bool, generator: np.random.Generator
+    corners: NDArray[np.float64], outdoors: bool, generator: Generator
 ) -> NDArray[np.float32]:
-    """Windows, doors, pictures, skirting boards, rugs."""
+    """Draw random rectangles on the walls and the floor, a row each."""
     floor, ceiling = corners[0, 1], corners[1, 1]
     rows = []
 
-    def put(side: int, u: float, v: float, size: NDArray[np.float64], bright: float,
-            material: Material) -> None:  # fmt: skip
+    def put(side: int, u: float, v: float, size: NDArray[np.float64], material: Material,
+            bright: float = 0.0) -> None:  # fmt: skip
         look = Materials([material]).table()[0]
         rows.append([side, u, u + size[0], v, v + size[1], bright, *look])
 
@@ -136,34 +141,33 @@ def _panels(
         along = 2 if side < 2 else 0
         low, high = corners[0, along], corners[1, along]
         if not outdoors and generator.random() < 0.6:
-            put(side, low, floor, np.array([high - low, 0.1]), 0.0, board)
+            put(side, low, floor, np.array([high - low, 0.1]), board)
         # As dense on long walls as on short ones.
         for _ in range(generator.poisson(min(0.5 * (high - low), 5))):
             u = generator.uniform(low, high)
-            chance = generator.random()
-            if chance < 0.25:
+            kind = KINDS[int(np.searchsorted(KIND_LIMITS, generator.random(), side="right"))]
+            if kind == "window":
                 size = generator.uniform([0.6, 0.8], [2.0, 1.6])
                 bright = generator.choice([0.0, generator.uniform(0.5, 4)])
-                put(side, u, floor + 0.9, size, bright, surface(generator, pale=0.7))
-            elif chance < 0.45:
+                put(side, u, floor + 0.9, size, surface(generator, pale=0.7), bright)
+            elif kind == "door":
                 size = np.array([0.9, min(2.05, ceiling - floor - 0.1)])
-                put(side, u, floor, size, 0.0, surface(generator))
-                put(side, u + 0.05, floor, size - [0.1, 0.05], 0.0, surface(generator))
-            elif chance < 0.8:
+                put(side, u, floor, size, surface(generator))
+                put(side, u + 0.05, floor, size - [0.1, 0.05], surface(generator))
+            elif kind == "picture":
                 size = generator.uniform(0.2, [1.2, 0.9])
                 frame, inside = surface(generator), surface(generator)
-                put(side, u, floor + 1.3, size, 0.0, frame)
-                put(side, u + 0.03, floor + 1.33, size - 0.06, 0.0, inside)
+                put(side, u, floor + 1.3, size, frame)
+                put(side, u + 0.03, floor + 1.33, size - 0.06, inside)
             else:
-                # Shelves with books, or curtains.
-                size = generator.uniform([0.5, 1.0], [1.6, 2.1])
-                shelf = surface(generator)
-                kind = CELLS if generator.random() < 0.6 else PLANKS
-                other = any_colour(generator)
-                put(side, u, floor + generator.uniform(0, 0.4), size, 0.0,
-                    Material(shelf.colour, other, kind, float(generator.uniform(3, 8)),
-                             0.0, 0.2))  # fmt: skip
+                size, shelf = generator.uniform([0.5, 1.0], [1.6, 2.1]), surface(generator)
+                pattern = CELLS if generator.random() < 0.6 else PLANKS
+                other, above = any_colour(generator), floor + generator.uniform(0, 0.4)
+                frequency = float(generator.uniform(3, 8))
+                look = Material(shelf.colour, other, pattern, frequency, 0.0, 0.2)
+                put(side, u, above, size, look)
     if generator.random() < 0.3:
+        # A rug.
         u, v = generator.uniform(corners[0, [0, 2]], corners[1, [0, 2]])
-        put(2, u - 1, v - 1, generator.uniform(1, 3, 2), 0.0, surface(generator))
+        put(2, u - 1, v - 1, generator.uniform(1, 3, 2), surface(generator))
     return np.array(rows, np.float32).reshape(-1, 18)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
@@ -20,19 +21,8 @@ from scripts.training.render.cameras import Camera, sample_camera
 from scripts.training.render.development import develop
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import Mesh, joined
-from scripts.training.render.people import (
-    MIRRORED,
-    Person,
-    cast,
-    person_materials,
-    posed_landmarks,
-)
-from scripts.training.render.posing import (
-    SHARES,
-    PoseSource,
-    classes_of,
-    read_pose_source,
-)
+from scripts.training.render.people import MIRRORED, Person, cast, person_materials, posed_landmarks
+from scripts.training.render.posing import SHARES, PoseSource, classes_of, read_pose_source
 from scripts.training.render.raster import (
     NOTHING,
     paint_room,
@@ -152,7 +142,7 @@ class Studio:
         people = cast(count, seed, garments, held_out=held_out)
         return cls(people, read_pose_source(motion, people[0].avatar, held_out=held_out))
 
-    def take(self, generator: np.random.Generator, *, empty: bool = False) -> Photograph:
+    def take(self, generator: Generator, *, empty: bool = False) -> Photograph:
         """Take one photograph, of a person or of things alone."""
         wanted = str(generator.choice(list(SHARES), p=list(SHARES.values())))
         while True:
@@ -166,7 +156,7 @@ class Studio:
                 return made
 
     def _portrait(
-        self, wanted: str, materials: Materials, generator: np.random.Generator
+        self, wanted: str, materials: Materials, generator: Generator
     ) -> Photograph | None:
         body = self.body(wanted, materials, generator)
         if body is None:
@@ -183,9 +173,7 @@ class Studio:
                 things.append(other.mesh.placed(turn, away + np.array([0, floor - low, 0])))
         return _photograph(body.mesh, body, things, floor, materials, generator)
 
-    def _still_life(
-        self, materials: Materials, generator: np.random.Generator
-    ) -> Photograph | None:
+    def _still_life(self, materials: Materials, generator: Generator) -> Photograph | None:
         makers = furniture.SUBJECTS
         subject = makers[generator.integers(len(makers))](materials, generator)
         turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
@@ -193,9 +181,7 @@ class Studio:
         subject = subject.placed(turn, [0.0, raised, 0.0])
         return _photograph(subject, None, [], 0.0, materials, generator)
 
-    def body(
-        self, wanted: str, materials: Materials, generator: np.random.Generator
-    ) -> PosedBody | None:
+    def body(self, wanted: str, materials: Materials, generator: Generator) -> PosedBody | None:
         """A body in a pose of a class; None where the pose came out as another."""
         person = self.people[generator.integers(len(self.people))]
         pose = self.source.draw(wanted, generator)
@@ -231,7 +217,7 @@ def _rests(joints: NDArray[np.float64]) -> bool:
     return bool(trunk.max() - joints[:JOINTS, 1].min() < TRUNK_BELOW_M)
 
 
-def _light(room: Room, generator: np.random.Generator) -> NDArray[np.float32]:
+def _light(room: Room, generator: Generator) -> NDArray[np.float32]:
     """Directions, colours and softness, see :func:`scripts.training.render.raster.shade`."""
     first, second = generator.normal(size=3), generator.normal(size=3)
     first[1] = abs(first[1]) + 0.4
@@ -256,7 +242,7 @@ def _photograph(
     things: list[Mesh],
     floor: float,
     materials: Materials,
-    generator: np.random.Generator,
+    generator: Generator,
 ) -> Photograph | None:
     """Furnish the scene, take the picture and say what it shows; None where little is seen."""
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
@@ -330,14 +316,14 @@ def _photograph(
     )
 
 
-def _end_of(body: PosedBody, generator: np.random.Generator) -> NDArray[np.float64]:
+def _end_of(body: PosedBody, generator: Generator) -> NDArray[np.float64]:
     """A place between the hips and one end of a body: the head, seldom the feet."""
     hips = body.landmarks[_HIPS].mean(axis=0)
     end = body.landmarks[_HEAD if generator.random() < 0.8 else _FEET].mean(axis=0)
     return np.asarray(hips + generator.uniform(0.5, 1.0) * (end - hips), np.float64)
 
 
-def _pixel_aspect(generator: np.random.Generator) -> float:
+def _pixel_aspect(generator: Generator) -> float:
     """Width of a pixel's share of the picture over its height: seldom not 1."""
     if generator.random() < 0.93:
         return 1.0
@@ -409,7 +395,7 @@ class _Drawing:
         light: NDArray[np.float32],
         target: NDArray[np.float64],
         materials: Materials,
-        generator: np.random.Generator,
+        generator: Generator,
     ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
         """Linear light, nearness and triangles of the pixels."""
         rows, columns = self.shape
@@ -467,7 +453,7 @@ def _shadows(
     return to_light, heights
 
 
-def _wrinkles(generator: np.random.Generator) -> NDArray[np.float32]:
+def _wrinkles(generator: Generator) -> NDArray[np.float32]:
     """Waves ``(7, 8)`` of cloth."""
     rows = []
     for _ in range(7):

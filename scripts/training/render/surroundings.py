@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.people import LANDMARK_NAMES
@@ -48,14 +49,14 @@ class PosedBody:
     support: Support
 
 
-def level_direction(generator: np.random.Generator) -> NDArray[np.float64]:
+def level_direction(generator: Generator) -> NDArray[np.float64]:
     """A level unit vector ``(3,)`` in any direction."""
     angle = generator.uniform(0, 2 * np.pi)
     return np.array([np.sin(angle), 0.0, np.cos(angle)])
 
 
 def support_of(
-    wanted: str, body: PosedBody, materials: Materials, generator: np.random.Generator
+    wanted: str, body: PosedBody, materials: Materials, generator: Generator
 ) -> tuple[float, list[Mesh]]:
     """Height of the floor, and what a person sits on, sits at or lies on."""
     vertices = body.mesh.vertices
@@ -89,7 +90,7 @@ def support_of(
 
 
 def _cycle(
-    body: PosedBody, low: float, materials: Materials, generator: np.random.Generator
+    body: PosedBody, low: float, materials: Materials, generator: Generator
 ) -> tuple[float, list[Mesh]]:
     floor = min(low, body.seat - 0.6) - generator.uniform(0.02, 0.2)
     things = [furniture.cycle(floor, body.seat + 0.01, materials, generator)]
@@ -100,7 +101,7 @@ def _cycle(
 
 
 def _seat(
-    body: PosedBody, low: float, materials: Materials, generator: np.random.Generator
+    body: PosedBody, low: float, materials: Materials, generator: Generator
 ) -> tuple[float, list[Mesh]]:
     """A chair or the like; perhaps a table before it, or a blanket over the legs."""
     vertices, floor = body.mesh.vertices, low
@@ -121,7 +122,7 @@ def _seat(
 
 
 def _sitting_low(
-    vertices: NDArray[np.float32], low: float, materials: Materials, generator: np.random.Generator
+    vertices: NDArray[np.float32], low: float, materials: Materials, generator: Generator
 ) -> tuple[float, list[Mesh]]:
     """On the ground, on a sofa or a bed with the legs along it."""
     chance = generator.random()
@@ -141,7 +142,7 @@ def _sitting_low(
 
 def clutter_about(
     camera: Camera, target: NDArray[np.float64], floor: float, hides: bool,
-    materials: Materials, generator: np.random.Generator,
+    materials: Materials, generator: Generator,
 ) -> list[Mesh]:  # fmt: skip
     """Things about a target, and one in front of it where it is to be hidden in part."""
     things = []
