@@ -47,7 +47,6 @@ from scripts.experiments.real_poses import (
     in_photographs,
     in_video,
     mask_iou,
-    observed_pck,
     pose_figures,
     trials_of,
 )
@@ -85,7 +84,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "detection": measure_detection(photographs, detector),
         "silhouettes": measure_silhouettes(photographs, estimator),
         "street": by_half(street),
-        "landmarks": observed_pck(people, estimator),
         "pose2sim": pose2sim,
         "vtest": {
             name: measure_vtest(frames, read_marks(), detector, score)

@@ -20,10 +20,10 @@ from app.vision.geometry import Box
 from app.vision.models import fitted_constants as constants_of
 from app.vision.odds import sigmoid
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES, Silhouette
+from app.vision.people import Silhouette
 from descriptor.silhouette import normalise
 from index.matching import DEFAULT_HYPOTHESES
-from index.skeleton import LIMB_ROWS, LIMBS, wrap_degrees
+from index.skeleton import LIMB_ROWS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
@@ -189,27 +189,6 @@ def pose_figures(trials: Sequence[Trial]) -> dict[str, float]:
 
 def _mean(values: Sequence[float | np.floating | np.bool_]) -> float:
     return float(np.mean(np.asarray(values, np.float64)))
-
-
-def observed_pck(people: Sequence[StreetPerson], estimator: Estimator) -> dict[str, float]:
-    """Return how near the landmarks themselves are to the reference, in true boxes."""
-    rows = [LANDMARK_NAMES.index(name) for name in LIMBS]
-    other_side = [rows[i ^ 1] for i in range(len(rows))]
-    near, sides = [], []
-    for person in people:
-        seen = estimator.models.reader.read(person.photograph.frame, person.box).landmarks
-        own, exchanged = (
-            np.linalg.norm(seen.positions[some] - person.reference.joints_2d, axis=-1)
-            for some in (rows, other_side)
-        )
-        near.append(float((own < NEAR * person.box.height).mean()))
-        sides.append(float(own.sum() <= exchanged.sum()))
-    odd = np.array([person.photograph.odd for person in people])
-    return {
-        "pck": 100 * _mean(near),
-        "odd_pck": 100 * float(np.array(near)[odd].mean()),
-        "sides": 100 * _mean(sides),
-    }
 
 
 def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:

@@ -23,7 +23,7 @@ from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
 from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
-from index.confidence import FEATURES, RIGHT_BELOW_PX
+from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
 from index.network import AXES, RankingModel
 from index.posture import LOW, POSTURES, classify_postures
@@ -93,9 +93,7 @@ def measure(
         "summary": {"upright": summary(upright), "degraded": summary(degraded)},
         "ranking": rankings if index.reranker else {},
         "postures": posture_figures(postures, every),
-        "posture_right": posture_shares(postures, every),
         "posture_confusion": confusion(len(POSTURES), postures, voted_postures(every)).tolist(),
-        "actions": by_action(simulated, every),
         "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
         "limits": limits(upright),
         "limb_threshold_px": {
@@ -216,31 +214,11 @@ def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figu
     }
 
 
-def posture_shares(postures: NDArray[np.int64], trial: Trial) -> Figures:
-    """Return how often the vote is right, and how often a hypothesis is in the right posture."""
-    voted, lying = voted_postures(trial), POSTURES.index("lying")
-    nearest = np.take_along_axis(trial.postures, trial.error_m.argmin(axis=1)[:, None], axis=1)
-    return {
-        "all": percent(voted == postures),
-        "lying_or_not": percent((voted == lying) == (postures == lying)),
-        "nearest_in_3d": percent(nearest[:, 0] == postures),
-        "any_of_seven": percent((trial.postures == postures[:, None]).any(axis=1)),
-    }
-
-
 def limb_threshold_px(trial: Trial) -> float:
     """Return the mean limb error below which as many hypotheses come as are right."""
     offered = np.isfinite(trial.error_px)
     limbs = trial.joint_errors_px[..., [JOINT_NAMES.index(name) for name in LIMBS]].mean(axis=-1)
     return float(np.quantile(limbs[offered], trial.right[offered].mean()))
-
-
-def by_action(queries: Simulation, trial: Trial) -> dict[str, Figures]:
-    """Return the figures of each action."""
-    action = queries.skeleton_labels["action"][queries.entries["skeleton"]]
-    return {
-        queries.actions[a].replace("-", "_"): summary(trial, action == a) for a in np.unique(action)
-    }
 
 
 def by_elevation(queries: Simulation, trial: Trial) -> dict[str, Figures]:
@@ -262,17 +240,11 @@ def limits(trial: Trial) -> Figures:
     wrong = first >= RIGHT_BELOW_PX
     near = wrong & (first < NEAR_BELOW_PX)
     twin = wrong & ~near & (best < RIGHT_BELOW_PX)
-    outlines = trial.features[..., FEATURES.index("reprojection_error_px")]
-    wrong_px = outlines[twin, 0]
-    right_px = outlines[twin, trial.error_px[twin].argmin(axis=1)]
     either_side = np.minimum(first, trial.twin_error_px[:, 0])
     return {
         "wrong": percent(wrong),
         "near": percent(near),
         "right_with_either_side": percent(either_side < RIGHT_BELOW_PX),
         "twin": percent(twin),
-        "twin_wrong_outline_px": float(wrong_px.mean()),
-        "twin_right_outline_px": float(right_px.mean()),
-        "twin_wrong_outline_nearer": percent(wrong_px < right_px),
         "not_covered": percent(wrong & ~near & ~twin),
     }
