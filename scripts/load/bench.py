@@ -11,6 +11,7 @@ import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,20 +19,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.geometry import Box
 from index import DEFAULT_PATH
+from scripts.datasets import read_frames, read_marks, read_vtest
 from scripts.figures import report
-from scripts.load.bench_cases import (
-    WALKERS,
-    Case,
-    Street,
-    mask_call,
-    street_cases,
-    walkers_case,
-    yardstick,
-)
-from scripts.load.client import Call, Client
+from scripts.load.client import Call, Client, answer
+from scripts.load.scenes import encode
 from scripts.load.server import ServerProcess
-from scripts.results import SHARED
+from scripts.results import ROOT, SHARED
+
+WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
+SMALL, LARGE = (640, 480), (1440, 1080)
+"""Width and height of the yardstick's frame, and of a large one."""
+
+FILM = 30
+"""Frames of a film."""
+
+MAX_CALLS = 1000
+"""Frames of a camera have an order, and are not sent twice."""
 
 REPEATS = 3
 """Consecutive requests of a kind: most then find warm caches."""
@@ -40,7 +45,138 @@ COUNTED = 3
 """Answers of a kind in which people are counted."""
 
 READY_WANTED_S, MEMORY_WANTED_MB = 2, 300
+Picture = NDArray[np.uint8]
 Task = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One kind of request, sent in turn.
+
+    ``wanted_ratio`` is the target of the median, as a multiple of the yardstick's. Requests
+    ``in_order`` are sent once, in sequence; the people in their answers are not counted.
+    """
+
+    title: str
+    calls: tuple[Call, ...]
+    wanted_ratio: float
+    in_order: bool = False
+
+
+@dataclass(frozen=True)
+class Street:
+    """BGR frames with four walkers, the empty street, and a box about the tallest of the first.
+
+    ``film`` are consecutive frames of the street, ``tall`` those of two people, 1080x1920.
+    """
+
+    busy: tuple[Picture, ...]
+    empty: Picture
+    box: Box
+    film: tuple[Picture, ...]
+    tall: tuple[Picture, ...]
+
+    @property
+    def frame(self) -> bytes:
+        """The first busy frame, encoded."""
+        return encode(".jpg", self.busy[0])
+
+    @property
+    def boxes(self) -> bytes:
+        """The walker's box, as the form field has it."""
+        return json.dumps([[self.box.x, self.box.y, self.box.width, self.box.height]]).encode()
+
+    @classmethod
+    def read(cls, folder: Path) -> Street:
+        """Read the videos of a folder; a FileNotFoundError where one is missing."""
+        marks = read_marks()
+        frames = dict(read_vtest(folder / "vtest", len(marks)))
+        # Others may be cut, hidden or small.
+        with_four = [mark for mark in marks if len(mark.people) == 4]
+        film, tall = (
+            tuple(frame for _, frame in itertools.islice(read_frames(folder / video), FILM))
+            for video in ("vtest/vtest.avi", "pose2sim/cam01.mp4")
+        )
+        return cls(
+            tuple(frames[mark.frame] for mark in with_four),
+            without_people(list(frames.values())),
+            max(with_four[0].people, key=lambda box: box.height),
+            film,
+            tall,
+        )
+
+
+def without_people(frames: Sequence[Picture]) -> Picture:
+    """Return the scene ``(480, 640, 3)`` of a fixed camera: the usual value of each pixel."""
+    return resized(np.median(np.stack(frames), axis=0).astype(np.uint8), SMALL)
+
+
+def resized(picture: Picture, size: tuple[int, int]) -> Picture:
+    """Return a picture of another width and height."""
+    smaller = size[0] < picture.shape[1]
+    interpolation = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(picture, size, interpolation=interpolation), np.uint8)
+
+
+def back_and_forth(film: Sequence[Picture]) -> list[bytes]:
+    """Encode a film and its way back, to be repeated."""
+    return [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
+
+
+def camera_calls(camera: str, film: Sequence[Picture]) -> tuple[Call, ...]:
+    """Return a camera's frames at ten a second: a film played back and forth."""
+    frames = back_and_forth(film)
+    return tuple(
+        Call(
+            "POST",
+            f"/cameras/{camera}/frames",
+            {"frame": frames[number % len(frames)], "timestamp": str(number / 10).encode()},
+        )
+        for number in range(MAX_CALLS)
+    )
+
+
+def pose_calls(*frames: Picture) -> tuple[Call, ...]:
+    """Return requests to ``POST /pose``."""
+    return tuple(Call("POST", "/pose", {"frame": encode(".jpg", frame)}) for frame in frames)
+
+
+def street_cases(street: Street, client: Client) -> dict[str, Case]:
+    """Return the cases about the street; a caller's mask is the service's own silhouette."""
+    height, width = street.busy[0].shape[:2]
+    size = f"{width}x{height}"
+    boxed = {"frame": street.frame, "boxes": street.boxes}
+    mask = answer(client, Call("POST", "/silhouette", boxed))
+    masked = {"frame": street.frame, "mask": mask}
+    silhouette, both, box = (
+        (Call("POST", f"/pose{query}", parts),)
+        for query, parts in (("?evidence=silhouette", masked), ("", masked), ("", boxed))
+    )
+    large = pose_calls(resized(street.empty, LARGE))
+    calls = [camera_calls(name, getattr(street, name)) for name in ("film", "tall")]
+    return {
+        "four_walkers": Case(f"{size}, four walkers", pose_calls(*street.busy), 1.4),
+        "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", pose_calls(street.empty), 0.5),
+        "box": Case(f"{size}, one caller's box", box, 0.28),
+        "mask_silhouette": Case(f"{size}, one mask, `evidence=silhouette`", silhouette, 0.08),
+        "mask": Case(f"{size}, one mask", both, 0.28),
+        "large_nobody": Case(f"{LARGE[0]}x{LARGE[1]}, nobody", large, 0.6),
+        "two_people": Case("1080x1920, two people", pose_calls(*street.tall), 1.1),
+        "camera": Case(f"{size}, next frame of a camera", calls[0], 0.9, True),
+        "tall_camera": Case("1080x1920, next frame of a camera", calls[1], 0.7, True),
+    }
+
+
+def yardstick(picture: Picture) -> Task:
+    """Return OpenCV's own search for people in a picture at :data:`SMALL`, on one thread.
+
+    It classifies every window, so it takes equally long in any picture.
+    """
+    cv2.setNumThreads(1)
+    hog = cv2.HOGDescriptor()
+    hog.setSVMDetector(np.asarray(cv2.HOGDescriptor.getDefaultPeopleDetector()))
+    small = resized(picture, SMALL)
+    return lambda: hog.detectMultiScale(small, winStride=(8, 8), scale=1.05)
 
 
 def interleaved(
@@ -55,14 +191,6 @@ def interleaved(
                 task()
                 times[name].append((time.perf_counter() - started) * 1000)
     return times
-
-
-def answer(client: Client, call: Call) -> bytes:
-    """Return the body of an answer that must be 200."""
-    status, body = client.send(call)
-    if status != 200:
-        raise ValueError(f"expected status 200, got {status}: {body.decode(errors='replace')}")
-    return body
 
 
 def sender(client: Client, calls: Sequence[Call]) -> Task:
@@ -85,20 +213,14 @@ def processor_time() -> NDArray[np.int64]:
         return np.array(file.readline().split()[1:9], np.int64)
 
 
-def spread(milliseconds: Sequence[float]) -> dict[str, float]:
-    """Return the tenth percentile and the median."""
-    p10, median = np.percentile(milliseconds, [10, 50]).tolist()
-    return {"p10_ms": p10, "median_ms": median}
-
-
 def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict[str, Any]:
     """Measure a server that was just started."""
     ready_s = server.wait_until_ready()
-    client = Client(server.url)
-    cases = {"small_four_walkers": walkers_case()}
-    picture = np.asarray(cv2.imread(str(WALKERS)), np.uint8)
+    client, picture = Client(server.url), np.asarray(cv2.imread(str(WALKERS)), np.uint8)
+    walkers = Call("POST", "/pose", {"frame": WALKERS.read_bytes()})
+    cases = {"small_four_walkers": Case("298x320, four walkers", (walkers,), 1.4)}
     if street:
-        cases |= street_cases(street, answer(client, mask_call(street)))
+        cases |= street_cases(street, client)
         picture = street.busy[0]
     tasks: dict[str, Task] = {"yardstick": yardstick(picture)}
     tasks |= {name: sender(client, case.calls) for name, case in cases.items()}
@@ -106,7 +228,11 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict
     before = processor_time()
     times = interleaved(tasks, rounds)
     spent = processor_time() - before
-    unit = spread(times["yardstick"])
+    spreads = {
+        name: dict(zip(("p10_ms", "median_ms"), np.percentile(one, [10, 50]).tolist(), strict=True))
+        for name, one in times.items()
+    }
+    unit = spreads["yardstick"]
     index = json.loads(answer(client, Call("GET", "/index")))
     figures = {
         "yardstick": unit,
@@ -115,8 +241,8 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict
             name: {
                 "title": case.title,
                 "people": people_found(client, case),
-                **spread(times[name]),
-                "ratio": spread(times[name])["median_ms"] / unit["median_ms"],
+                **spreads[name],
+                "ratio": spreads[name]["median_ms"] / unit["median_ms"],
                 "wanted_ratio": case.wanted_ratio,
             }
             for name, case in cases.items()

@@ -15,11 +15,9 @@ import cv2
 
 from index.store import PoseIndex
 from scripts.datasets import read_frames
-from scripts.load.bench import answer
-from scripts.load.client import Call, Client
-from scripts.load.measurement import Criteria, Figures, run, spread
-from scripts.load.scenes import encode
-from scripts.load.server import ServerProcess
+from scripts.load.bench import back_and_forth
+from scripts.load.client import Call, Client, answer
+from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 from scripts.results import SHARED
 
 PER_S = 5
@@ -32,8 +30,7 @@ FILM = SHARED / "real" / "pose2sim" / "cam01.mp4"
 def film() -> list[bytes]:
     """Return the frames that a camera sends, five for each second of the film."""
     step = round(cv2.VideoCapture(str(FILM)).get(cv2.CAP_PROP_FPS)) // PER_S
-    frames = [encode(".jpg", frame) for number, frame in read_frames(FILM) if number % step == 0]
-    return [*frames, *frames[-2:0:-1]]
+    return back_and_forth([frame for number, frame in read_frames(FILM) if number % step == 0])
 
 
 def watch(

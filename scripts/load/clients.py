@@ -15,11 +15,18 @@ from typing import Any
 
 from app.settings import Settings
 from index.store import PoseIndex
-from scripts.load.client import Call, Client
-from scripts.load.loops import PROBE_P99_MS, Request, Tally, closed_loop, metric, probe
-from scripts.load.measurement import Criteria, Figures, run
+from scripts.load.client import (
+    PROBE_P99_MS,
+    Call,
+    Client,
+    Request,
+    Tally,
+    closed_loop,
+    metric,
+    probe,
+)
 from scripts.load.scenes import small_calls
-from scripts.load.server import ServerProcess
+from scripts.load.server import Criteria, Figures, ServerProcess, run
 from scripts.results import percentile
 
 CLIENTS, HEAVY = 8, 10

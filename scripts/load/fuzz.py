@@ -9,11 +9,9 @@ import cv2
 import numpy as np
 
 from index.store import PoseIndex
-from scripts.load.client import Call, Client
-from scripts.load.loops import Request, Tally, closed_loop
-from scripts.load.measurement import Criteria, Figures, run, spread
+from scripts.load.client import Call, Client, Request, Tally, closed_loop
 from scripts.load.scenes import encode, street
-from scripts.load.server import ServerProcess
+from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 
 CLIENTS = 2
 SHAPES = (
@@ -118,33 +116,29 @@ class Uploads:
         for number in self._numbers:
             if not self._server.alive():
                 return
-            yield Request(self._call(rng), number=number)
+            form, parts = rng.choice(FORMS), self._parts(rng)
+            path = f"/pose?silhouettes={form}" + "&n=1" * ("mask" in parts)
+            yield Request(Call("POST", path, parts), number=number)
 
-    def _call(self, rng: np.random.Generator) -> Call:
+    def _parts(self, rng: np.random.Generator) -> dict[str, bytes]:
+        def one_of(images: list[bytes]) -> bytes:
+            return images[rng.integers(len(images))]
+
         if rng.random() < SHAPED:
-            return self._shaped_call(rng)
-        frame = self._frames[rng.integers(len(self._frames))]
+            frame, mask = self._shaped[rng.integers(len(self._shaped))].values()
+            boxes = b"[[0, 0, 1000000, 1000000], [0, 0, 1, 1]]"
+            forms = (
+                {"frame": frame},
+                {"mask": mask},
+                {"frame": frame, "mask": mask},
+                {"frame": frame, "background": frame},
+                {"frame": frame, "boxes": boxes},
+            )
+            return forms[rng.integers(len(forms))]
         if rng.random() < 0.7:
             # Without a box the decoder is tried, not the search for people.
-            return Call("POST", "/pose", {"frame": mutate(frame, rng), "boxes": b"[]"})
-        mask = mutate(self._masks[rng.integers(len(self._masks))], rng)
-        parts = {"frame": self._frames[2], "mask": mask}
-        return Call("POST", f"/pose?n=1&silhouettes={FORMS[rng.integers(len(FORMS))]}", parts)
-
-    def _shaped_call(self, rng: np.random.Generator) -> Call:
-        parts = self._shaped[rng.integers(len(self._shaped))]
-        if rng.random() < 0.2:
-            parts = {name: mutate(data, rng) for name, data in parts.items()}
-        frame, mask = parts["frame"], parts["mask"]
-        forms = (
-            {"frame": frame},
-            {"mask": mask},
-            {"frame": frame, "mask": mask},
-            {"frame": frame, "background": frame},
-            {"frame": frame, "boxes": b"[[0, 0, 1000000, 1000000], [0, 0, 1, 1]]"},
-        )
-        path = f"/pose?silhouettes={FORMS[rng.integers(len(FORMS))]}"
-        return Call("POST", path, forms[rng.integers(len(forms))])
+            return {"frame": mutate(one_of(self._frames), rng), "boxes": b"[]"}
+        return {"frame": self._frames[2], "mask": mutate(one_of(self._masks), rng)}
 
 
 def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figures, Criteria]:

@@ -17,11 +17,12 @@ import numpy as np
 
 from app.settings import Settings
 from index.store import PoseIndex
-from scripts.load.client import Call, Client
-from scripts.load.loops import (
+from scripts.load.client import (
     MAX_CONNECTIONS,
     PROBE_EVERY_S,
     PROBE_P99_MS,
+    Call,
+    Client,
     Request,
     Tally,
     closed_loop,
@@ -29,9 +30,8 @@ from scripts.load.loops import (
     open_loop,
     probe,
 )
-from scripts.load.measurement import Criteria, Figures, run, spread
 from scripts.load.scenes import small_calls
-from scripts.load.server import ServerProcess
+from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 
 TIMES = 10
 REJECTED_P99_MS = 50.0

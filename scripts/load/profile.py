@@ -27,7 +27,7 @@ from app.settings import Settings
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES
 from scripts.figures import report
-from scripts.load.bench_cases import FILM, Street
+from scripts.load.bench import FILM, Street, back_and_forth
 from scripts.load.scenes import encode
 from scripts.results import SHARED
 
@@ -84,18 +84,15 @@ def processes(estimator: Estimator, street: Street) -> dict[str, Process]:
     silhouette = estimator.find_people(Upload(street.frame, boxes=[street.box]), Job()).persons[0]
     assert silhouette.silhouette is not None
     mask = encode(".png", silhouette.silhouette.mask(street.busy[0].shape).astype(np.uint8))
-    films = {
-        name: [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
-        for name, film in (("street", street.film), ("tall", street.tall))
-    }
+    film, tall = back_and_forth(street.film), back_and_forth(street.tall)
     return {
         "photograph, 768x576, four walkers": estimating(frame=street.frame),
-        "photograph, 1080x1920, two people": estimating(frame=films["tall"][0]),
+        "photograph, 1080x1920, two people": estimating(frame=tall[0]),
         "one caller's box": estimating(frame=street.frame, boxes=[street.box]),
         "one mask": estimating(frame=street.frame, mask=mask),
         "one mask, `evidence=silhouette`": estimating("silhouette", mask=mask),
-        "camera, 768x576, street": following(films["street"]),
-        "camera, 1080x1920, two people": following(films["tall"]),
+        "camera, 768x576, street": following(film),
+        "camera, 1080x1920, two people": following(tall),
     }
 
 

@@ -17,11 +17,9 @@ from functools import partial
 import numpy as np
 
 from index.store import PoseIndex
-from scripts.load.client import Call, Client
-from scripts.load.loops import Request, Tally, closed_loop
-from scripts.load.measurement import Criteria, Figures, run, spread
+from scripts.load.client import Call, Client, Request, Tally, closed_loop
 from scripts.load.scenes import encode, encoded_streets
-from scripts.load.server import ServerProcess
+from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 from scripts.results import percentile
 
 CLIENTS = 2

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts.load.bench import interleaved, read_street, sender
-from scripts.load.bench_cases import camera_calls, without_people
+from scripts.load.bench import camera_calls, interleaved, read_street, sender, without_people
 from scripts.load.client import Call, Client
 
 

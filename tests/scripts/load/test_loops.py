@@ -11,8 +11,7 @@ from http.client import IncompleteRead
 
 import pytest
 
-from scripts.load.client import Call, Client
-from scripts.load.loops import Request, Tally, closed_loop, open_loop
+from scripts.load.client import Call, Client, Request, Tally, closed_loop, open_loop
 
 
 class Server(socketserver.ThreadingTCPServer):

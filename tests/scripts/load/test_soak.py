@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi.testclient import TestClient
 
 from index.store import PoseIndex
-from scripts.load.loops import Answer, Request, Tally
+from scripts.load.client import Answer, Request, Tally
 from scripts.load.soak import MAIN, criteria, figures, kinds
 
 
