@@ -95,10 +95,6 @@ class Photograph:
         Where they are in the picture, pixels.
     shown : (33,) bool array
         Whether each is in the picture, and no thing is in front of it.
-    joints : (19, 3) float64 array
-        As landmarks, of the index.
-    up : (3,) float64 array
-        Away from the ground, camera axes.
     covered : float
         Share of the body's pixels that things hide or the frame cuts.
     """
@@ -112,8 +108,6 @@ class Photograph:
     landmarks: NDArray[np.float64]
     places: NDArray[np.float64]
     shown: NDArray[np.bool_]
-    joints: NDArray[np.float64]
-    up: NDArray[np.float64]
     covered: float
 
 
@@ -310,8 +304,6 @@ def _photograph(
         landmarks,
         places,
         _shown(landmarks, view, nearness, shown, len(subject.triangles)),
-        camera.seen(body.joints) if body else np.full((JOINTS, 3), np.nan),
-        camera.rotation @ np.array([0.0, 1.0, 0.0]),
         covered,
     )
 
