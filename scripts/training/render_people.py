@@ -3,8 +3,7 @@
 Writes ``windows-NNNN.npz``, 500 photographs each, with the truth about them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
 seven shows nobody. The same bytes come out for the same seed; files that are there are not made
-again. Instead, ``--sheet FILE`` draws a contact sheet to look at, and ``--pictures FOLDER`` writes
-pictures as MoveNet sees them, for the calibration of its 8-bit ranges.
+again. ``--sheet FILE`` draws a contact sheet to look at instead.
 """
 
 from __future__ import annotations
@@ -19,12 +18,10 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
-from app.vision.detector import OVERVIEW_PX
-from app.vision.geometry import Box, PersonWindow, crop_and_resize, resize
+from app.vision.geometry import PersonWindow
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
-from app.vision.movenet import keypoint_window
-from scripts.results import SHARED
+from scripts.results import ROOT
 from scripts.training.photograph_data import WindowRows
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 
@@ -110,35 +107,20 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
 
 
-def write_pictures(studio: Studio, seed: int, count: int, folder: Path) -> None:
-    """Write photographs as PNG as MoveNet sees them: whole, and every second person's window."""
-    folder.mkdir(parents=True, exist_ok=True)
-    columns, rows = OVERVIEW_PX
-    for number in tqdm(range(count), unit="picture"):
-        photograph, _ = photograph_of(studio, seed, number)
-        image = photograph.image
-        if number % 2 and photograph.posture != EMPTY:
-            small = crop_and_resize(image, *keypoint_window(Box(*photograph.box.tolist())))
-        else:
-            scale = min(columns / image.shape[1], rows / image.shape[0])
-            small = resize(image, round(scale * image.shape[1]), round(scale * image.shape[0]))
-        cv2.imwrite(str(folder / f"{number:04d}.png"), small)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    add = parser.add_argument
-    add("--shared", type=Path, default=SHARED)
-    add("--out", type=Path, help="folder to write to")
-    add("--count", type=int, default=10_000, help="photographs")
-    add("--seed", type=int, default=1)
-    add("--held-out", action="store_true", help="held-out clips and garments")
-    add("--pictures", type=Path, help="write pictures into this folder")
-    add("--sheet", type=Path, help="draw pictures to look at into this file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", type=Path, help="folder to write to")
+    parser.add_argument("--count", type=int, default=10_000, help="photographs")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
     options = parser.parse_args(arguments)
-    if options.out is None and options.sheet is None and options.pictures is None:
-        parser.error("expected --out, --pictures or --sheet")
+    if options.out is None and options.sheet is None:
+        parser.error("expected --out or --sheet")
     cv2.setNumThreads(1)
     studio = Studio.open(
         options.shared / "mocap",
@@ -149,9 +131,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     if options.sheet is not None:
         cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
-        return
-    if options.pictures is not None:
-        write_pictures(studio, options.seed, options.count, options.pictures)
         return
     network = LandmarkNetwork(network_path("pose_landmarks"))
     options.out.mkdir(parents=True, exist_ok=True)

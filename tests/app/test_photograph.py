@@ -86,7 +86,10 @@ class Blind:
         self.reader = reader
 
     def read(self, *where: Any) -> PoseReading:
-        reading = self.reader.read(*where)
+        return self.reader.read(*where)
+
+    def with_mask(self, reading: PoseReading) -> PoseReading:
+        reading = self.reader.with_mask(reading)
         return replace(reading, probability=np.zeros_like(reading.probability))
 
 

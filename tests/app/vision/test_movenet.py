@@ -58,23 +58,21 @@ def test_people_are_those_of_the_published_graph(
 ) -> None:
     """What Google's graph gives for the same image; see tests/data.
 
-    Eight bits move single keypoints by a cell and more. Their median stays within a fraction of a
-    pixel, far below what any slip of half a pixel, a cell or a side would move.
+    The weights are the same float16 numbers. Sums in another order are all that differs, which
+    moved nothing by more than 1e-4 px here. A tenth of a pixel is far below what any slip of half a
+    pixel, a cell or a side would move.
     """
-    offsets = []
-    for row in published[:5]:
+    assert len(ours) >= len(published) == 6
+    for number, (row, person) in enumerate(zip(published, ours, strict=False)):
         top, left, bottom, right = SIZE * row[51:55] - 0.5
-        person = person_in(Box.from_edges(left, top, right, bottom), ours)
-        assert_allclose(corners(person.box), [left, top, right, bottom], atol=2)
+        assert_allclose(corners(person.box), [left, top, right, bottom], atol=0.1)
         y, x, scores = row[:51].reshape(17, 3).T
-        moved_by = person.keypoints.positions - (SIZE * np.stack([x, y], axis=-1) - 0.5)
-        offsets.append(moved_by[scores > 0.3])
-        assert person.score == pytest.approx(row[55], abs=0.05)
-        assert_allclose(person.keypoints.scores, scores, atol=0.25)
-    every = np.concatenate(offsets)
-    assert len(every) > 40
-    assert_allclose(np.median(every, axis=0), 0, atol=0.3)
-    assert np.median(np.linalg.norm(every, axis=1)) < 1
+        positions = SIZE * np.stack([x, y], axis=-1) - 0.5
+        assert_allclose(person.keypoints.positions, positions, atol=0.1)
+        # Where two people claim one keypoint, Google's graph gives both the higher score.
+        alone = number < 4
+        assert person.score == pytest.approx(row[55], abs=1e-3 if alone else 0.01)
+        assert_allclose(person.keypoints.scores, scores, atol=1e-3 if alone else 0.05)
 
 
 def test_more_than_six_people_are_detected(
