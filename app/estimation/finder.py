@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,18 +104,24 @@ class PeopleFinder:
             with job.stage("segment"):
                 silhouettes = silhouettes_from_labels(upload.mask)
             return "mask", [Target(one.box) for one in silhouettes], lambda _: silhouettes
+        scene = self._background(upload)
+        cut = None if scene is None else partial(scene.segment, frame, checkpoint=job.checkpoint)
         if upload.boxes is not None:
-            return "boxes", [Target(box) for box in upload.boxes], None
-        if upload.background is None:
+            return "boxes", [Target(box) for box in upload.boxes], cut
+        if scene is None:
             found = self.search(frame, job)
-            return "detector", [Target(one.box, one.score, one) for one in found], None
-        smallest = smallest_person_px(frame.shape, self.min_person_px)
-        scene = BackgroundSegmenter(upload.background, min_person_px=smallest)
-        with job.stage("detect"):
-            found = scene.detect(frame)[: self.max_persons]
-        job.checkpoint()
+        else:
+            with job.stage("detect"):
+                found = scene.detect(frame)[: self.max_persons]
+            job.checkpoint()
         targets = [Target(one.box, one.score, one) for one in found]
-        return "background", targets, lambda boxes: scene.segment(frame, boxes, job.checkpoint)
+        return "detector" if scene is None else "background", targets, cut
+
+    def _background(self, upload: DecodedUpload) -> BackgroundSegmenter | None:
+        if upload.background is None:
+            return None
+        smallest = smallest_person_px(upload.frame.shape, self.min_person_px)
+        return BackgroundSegmenter(upload.background, min_person_px=smallest)
 
     def search(
         self, frame: NDArray[np.uint8], job: Job, lost: Sequence[Box] = ()
