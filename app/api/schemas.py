@@ -75,9 +75,8 @@ class FrameUpload(Model):
     boxes: str | None = Field(
         default=None,
         description="Where the people are: a JSON list of `[x, y, width, height]` in pixels "
-        "of the frame. With a background, what differs from it is cut out inside them; a mask "
-        "excludes both.",
-        examples=["[[401, 120, 61, 148]]"],
+        "of the frame, such as `[[401, 120, 61, 148]]`. With a background, what differs from it is "
+        "cut out inside them; a mask excludes both.",
     )
 
 
@@ -547,7 +546,6 @@ class DeepstackUpload(Model):
     min_confidence: Probability = Field(
         default=0.4,
         description="Detections below this score are left out; 0.4 if it is missing.",
-        examples=[0.4],
     )
     api_key: str | None = Field(
         default=None, description="Required if the operator has set keys, unless a header has one."
@@ -565,13 +563,17 @@ class DeepstackPrediction(Model):
     y_max: int = Field(description="Bottom edge, pixels of the image.", examples=[268])
 
 
+# Frigate's plugin copies predictions into an array of as many rows, without a check.
+MAX_PREDICTIONS = 20
+
+
 class DeepstackResponse(Model):
     """The people of an image, in DeepStack's form."""
 
-    success: Literal[True] = Field(
-        description="Always true; an error has another status.", examples=[True]
+    success: bool = Field(description="Always true; an error has another status.", examples=[True])
+    predictions: list[DeepstackPrediction] = Field(
+        max_length=MAX_PREDICTIONS, description="The most certain first."
     )
-    predictions: list[DeepstackPrediction] = Field(description="The most certain first.")
     duration: FiniteFloat = Field(ge=0, description="Seconds.", examples=[0.042])
 
 

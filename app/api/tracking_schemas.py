@@ -38,9 +38,9 @@ class TrackUpload(FrameUpload):
     track_ids: str | None = Field(
         default=None,
         description="The caller's own identities of the people in `boxes`, for callers who track "
-        "people themselves: a JSON list of texts or whole numbers, one for each box. They come "
-        "back as `caller_track_id`, as text; the same identity means the same person.",
-        examples=['["17", "18"]'],
+        "people themselves: a JSON list of texts or whole numbers, one for each box, such as "
+        '`["17", "18"]`. They come back as `caller_track_id`, as text; the same identity means the '
+        "same person.",
     )
     timestamp: float | None = Field(
         default=None,
@@ -49,7 +49,6 @@ class TrackUpload(FrameUpload):
         allow_inf_nan=False,
         description="When the frame was taken: seconds on any clock that never goes back, later "
         "than that of the last frame. By default, the time of arrival is used.",
-        examples=[12.4],
     )
 
 

@@ -8,7 +8,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
-from app.api.schemas import DeepstackPrediction, DeepstackResponse, DeepstackUpload
+from app.api.schemas import (
+    MAX_PREDICTIONS,
+    DeepstackPrediction,
+    DeepstackResponse,
+    DeepstackUpload,
+)
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
 from app.http.identity import (
@@ -88,7 +93,7 @@ async def detect_deepstack(
     """Find people for DeepStack's clients.
 
     The answer has the boxes of whole people, without silhouettes or poses; the only label is
-    `person`.
+    `person`. At most 20 are returned, the most certain ones.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
@@ -112,7 +117,7 @@ async def detect_deepstack(
             )
             for found in sorted(people, key=lambda one: -(one.detection_score or 0.0))
             if (found.detection_score or 0.0) >= upload.min_confidence
-        ]
+        ][:MAX_PREDICTIONS]
 
     predictions = await run_frame(request, work, kind=None)
     return DeepstackResponse(

@@ -91,6 +91,10 @@ def _mend_schema(name: str, schema: dict[str, Any]) -> None:
     if name in {form.__name__ for form in _FORMS}:
         properties = {field: _form_field(value) for field, value in properties.items()}
         schema["properties"] = properties
+    if name == CameraConfiguration.__name__:
+        # openapi-typescript takes a field with a default for one that must be there.
+        for value in properties.values():
+            del value["default"]
     for value in properties.values():
         value.pop("title", None)  # Pydantic's titles only repeat the name, capitalised.
 
@@ -115,12 +119,13 @@ def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     """Write a field of a form in a way that client generators understand.
 
     A form has no null: an optional field is missing. Generators treat a field with a default as one
-    that is always present.
+    that is always present. Swagger UI fills in an example, if only "string", and sends it.
     """
     kind: dict[str, Any] = next(
         (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
     )
-    return {**kind, **{k: v for k, v in schema.items() if k not in ("anyOf", "default")}}
+    kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default", "examples")}
+    return kind | kept | ({"examples": [""]} if "default" in schema else {})
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:

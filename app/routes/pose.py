@@ -110,7 +110,8 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     """Segment the people of a frame: a label image.
 
     0 is background, k is the k-th of `persons` in the answer of `/pose`. The image can be sent back
-    as `mask`.
+    as `mask`. Viewers show it nearly black, since labels are small numbers. It has no palette:
+    OpenCV would read colours instead of labels. `/pose/overlay` is made to be looked at.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.openapi.docs import get_swagger_ui_html
@@ -61,17 +62,22 @@ def add_page(app: FastAPI) -> None:
     app.mount("/static", StaticFiles(directory=_FOLDER))
 
 
-# The path is relative, so that the page also works behind a proxy that serves it under a path.
-_ASSETS = "docs/assets"
+# The paths are relative, so that the page also works behind a proxy that serves it under a path.
+_ASSETS, _DOCUMENT = "docs/assets", "docs/openapi.json"
 
 
 def add_docs(app: FastAPI) -> None:
     """Serve Swagger UI under ``/docs`` from the files of the package fastapi-offline."""
 
+    @app.get(f"/{_DOCUMENT}", include_in_schema=False)
+    async def document() -> dict[str, Any]:
+        # Generators of clients do not understand relative servers, so this is another document.
+        return {**app.openapi(), "servers": [{"url": ".."}]}
+
     @app.get("/docs", include_in_schema=False)
     async def docs() -> HTMLResponse:
         return get_swagger_ui_html(
-            openapi_url="openapi.json",
+            openapi_url=_DOCUMENT,
             title=f"{app.title}: API",
             swagger_js_url=f"{_ASSETS}/swagger-ui-bundle.js",
             swagger_css_url=f"{_ASSETS}/swagger-ui.css",

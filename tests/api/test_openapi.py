@@ -98,6 +98,8 @@ def test_optional_fields_of_forms_are_optional_for_generators(document: dict[str
             assert "default" not in value, f"{name}.{field}"
             assert "anyOf" not in value, f"{name}.{field}"
     assert document["components"]["schemas"]["DeepstackUpload"]["required"] == ["image"]
+    for value in document["components"]["schemas"]["CameraConfiguration"]["properties"].values():
+        assert "default" not in value
 
 
 def test_errors_are_documented_as_problems(document: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Clients that generators make of the document: they talk to a live server."""
+"""Clients that three generators make of the document: each calls every route of a live server."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,18 +21,83 @@ from tests.support.videos import write_video
 
 pytestmark = pytest.mark.slow
 SOURCES = Path(__file__).parent / "typescript"
+DOCUMENT = ROOT / "openapi.json"
 # The first is what openapi-generator says of every document of OpenAPI 3.1; the second also of one
 # reduced to a single route and two plain models, where no schema lacks a name.
 ABOUT_ITSELF = ("OpenAPI 3.1 support is still in beta", "Failed to get the schema name: null")
 PACKAGE = "silhouette_pose_client"
+WALL = [[0.0, 0.0], [320.0, 0.0], [320.0, 240.0], [0.0, 240.0]]
+
+
+def operations() -> dict[str, tuple[str, str]]:
+    """Tag and path of every operation of the document."""
+    paths = json.loads(DOCUMENT.read_text())["paths"]
+    return {
+        operation["operationId"]: (operation["tags"][0], path)
+        for path, methods in paths.items()
+        for operation in methods.values()
+    }
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory: pytest.TempPathFactory) -> Any:
+def calls(photo: Photo, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Any, ...]]:
+    """Parameters of a call of each operation, in order, and the model and fields of its body."""
+    video = write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 3)
+    upload = {"frame": photo.frame_png, "mask": photo.mask_png}
+    zone = {"name": "wall", "kind": "watch", "polygon": WALL}
+    camera, entry = {"camera_id": "generated"}, {"entry": 3}
+    return {
+        "liveness": ({},),
+        "readiness": ({},),
+        "describe_index": ({},),
+        "get_entry": (entry,),
+        "get_entry_silhouette": (entry,),
+        "estimate_pose": ({"n": 3}, "FrameUpload", upload),
+        "draw_pose": ({}, "FrameUpload", upload),
+        "extract_silhouettes": ({}, "FrameUpload", upload),
+        "detect_deepstack": ({}, "DeepstackUpload", {"image": photo.frame_png}),
+        "configure_camera": (camera, "CameraConfiguration", {"zones": [zone]}),
+        "track_frame": (camera, "TrackUpload", {**upload, "timestamp": 1.0}),
+        "get_camera": (camera,),
+        "list_camera_events": (camera,),
+        "list_cameras": ({},),
+        "forget_camera": (camera,),
+        "analyse_sequence": ({}, "VideoUpload", {"video": video}),
+    }
+
+
+def check(answers: dict[str, Any], photo: Photo) -> None:
+    """Every route has been called, and the answers are what was sent."""
+    assert answers.keys() == operations().keys()
+    assert answers["liveness"].status == answers["readiness"].status == "ok"
+    assert answers["describe_index"].name == "sticks"
+    assert answers["get_entry"].entry == 3
+    (person,) = answers["estimate_pose"].persons
+    assert [h.rank for h in person.hypotheses] == [1, 2, 3]
+    assert person.hypotheses[0].entry == photo.entry
+    assert person.hypotheses[0].joints_3d[0].x == 0
+    assert answers["detect_deepstack"].success
+    assert answers["configure_camera"].zones[0].polygon == WALL
+    assert answers["track_frame"].persons[0].zones == ["wall"]
+    assert answers["get_camera"].frames == 1
+    assert answers["list_camera_events"].events[0].event == "entered"
+    assert [camera.camera_id for camera in answers["list_cameras"].cameras] == ["generated"]
+    for name in ("draw_pose", "extract_silhouettes", "get_entry_silhouette"):
+        assert content(answers[name]).startswith(b"\x89PNG")
+    lines = [json.loads(line) for line in content(answers["analyse_sequence"]).splitlines()]
+    assert [line["type"] for line in lines] == ["frame"] * 3 + ["end"]
+
+
+def content(file: Any) -> bytes:
+    return bytes(file.payload.read() if hasattr(file, "payload") else file)
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     pytest.importorskip("openapi_python_client", reason="needs openapi-python-client")
     folder = tmp_path_factory.mktemp("client")
     command = [sys.executable, "-m", "openapi_python_client", "generate"]
-    command += ["--path", str(ROOT / "openapi.json"), "--output-path", str(folder / "out")]
+    command += ["--path", str(DOCUMENT), "--output-path", str(folder / "out")]
     # Its formatter, ruff, stands beside the interpreter.
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     result = run(*command, PATH=path)
@@ -50,78 +116,28 @@ def image(content: bytes) -> Any:
     return load("types").File(io.BytesIO(content), "image.png", "image/png")
 
 
-def upload(photo: Photo, model: str = "FrameUpload", **more: Any) -> Any:
-    """A form of a photograph and its mask."""
-    form = getattr(load("models"), model)
-    return form(frame=image(photo.frame_png), mask=image(photo.mask_png), **more)
-
-
-def test_it_uploads_a_frame_and_reads_the_poses(package: Any, server: Server, photo: Photo) -> None:
-    client = package.Client(server.url)
-    answer = load("api.pose.estimate_pose").sync(client=client, body=upload(photo), n=3)
-    (person,) = answer.persons
-    assert [h.rank for h in person.hypotheses] == [1, 2, 3]
-    assert person.hypotheses[0].entry == photo.entry
-    assert person.hypotheses[0].joints_2d[0].x > 0
-
-
-def test_it_reads_problems_and_pictures(package: Any, server: Server, photo: Photo) -> None:
-    client = package.Client(server.url)
-    body = load("models").FrameUpload(frame=image(b"?"))
-    problem = load("api.pose.estimate_pose").sync(client=client, body=body)
-    assert problem.status == 400
-    assert problem.field == "frame"
-    picture = load("api.index.get_entry_silhouette").sync(entry=3, client=client)
-    assert picture.payload.read().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize("operation", ["draw_pose", "extract_silhouettes"])
-def test_it_gets_pictures_of_a_frame(
-    package: Any, server: Server, photo: Photo, operation: str
+def test_openapi_python_client_calls_every_route(
+    package: Any, server: Server, photo: Photo, calls: dict[str, tuple[Any, ...]]
 ) -> None:
-    client = package.Client(server.url)
-    picture = load(f"api.pose.{operation}").sync(client=client, body=upload(photo))
-    assert picture.payload.read().startswith(b"\x89PNG")
-
-
-def test_it_requests_boxes_like_deepstack(package: Any, server: Server, photo: Photo) -> None:
-    body = load("models").DeepstackUpload(image=image(photo.frame_png), min_confidence=0.9)
-    client = package.Client(server.url)
-    answer = load("api.compatibility.detect_deepstack").sync(client=client, body=body)
-    assert answer.success
-
-
-def test_it_tracks_the_frames_of_a_camera(package: Any, server: Server, photo: Photo) -> None:
-    client, models = package.Client(server.url), load("models")
-    wall = [[0.0, 0.0], [320.0, 0.0], [320.0, 240.0], [0.0, 240.0]]
-    zone = models.Zone(name="wall", kind=models.ZoneKind.WATCH, polygon=wall)
-    state = load("api.cameras.configure_camera").sync(
-        "generated", client=client, body=models.CameraConfiguration(zones=[zone])
-    )
-    assert (state.zones[0].polygon, state.frames, state.image) == (wall, 0, None)
-    for index in range(2):
-        body = upload(photo, "TrackUpload", timestamp=float(index))
-        operation = load("api.cameras.track_frame")
-        response = operation.sync_detailed("generated", client=client, body=body)
-        assert response.headers["x-session"] == ("warm" if index else "new")
-        assert response.parsed.frame_index == index
-        assert response.parsed.persons[0].zones == ["wall"]
-    (camera,) = load("api.cameras.list_cameras").sync(client=client).cameras
-    assert (camera.camera_id, camera.frames) == ("generated", 2)
-    forget = load("api.cameras.forget_camera")
-    assert forget.sync_detailed("generated", client=client).status_code == 204
-
-
-def test_it_gets_the_lines_of_a_video(
-    package: Any, server: Server, photo: Photo, tmp_path: Path
-) -> None:
-    data = write_video(tmp_path / "v.avi", [photo.frame] * 3)
-    video = load("types").File(io.BytesIO(data), "v.avi", "video/x-msvideo")
-    body = load("models").VideoUpload(video=video)
-    answer = load("api.cameras.analyse_sequence").sync(client=package.Client(server.url), body=body)
-    *frames, end = (json.loads(line) for line in answer.payload.read().splitlines())
-    assert [frame["type"] for frame in frames] == ["frame"] * 3
-    assert load("models").SequenceEnd.from_dict(end).frames == 3
+    client, answers = package.Client(server.url), {}
+    for name, (parameters, *body) in calls.items():
+        if body:
+            model, fields = body
+            fields = {k: image(v) if isinstance(v, bytes) else v for k, v in fields.items()}
+            parameters = {**parameters, "body": getattr(load("models"), model)(**fields)}
+            if model == "CameraConfiguration":
+                parameters["body"] = load("models").CameraConfiguration.from_dict(fields)
+        operation = load(f"api.{operations()[name][0]}.{name}")
+        answer = operation.sync_detailed(client=client, **parameters)
+        assert answer.status_code in (200, 204), name
+        answers[name] = answer.parsed
+        if name == "track_frame":
+            assert answer.headers["x-session"] == "new"
+    check(answers, photo)
+    assert load("models").SequenceEnd
+    broken = load("models").FrameUpload(frame=image(b"?"))
+    problem = load("api.pose.estimate_pose").sync(client=client, body=broken)
+    assert (problem.status, problem.field) == (400, "frame")
 
 
 def generate(generator: str, folder: Path) -> Path:
@@ -129,8 +145,7 @@ def generate(generator: str, folder: Path) -> Path:
     program = shutil.which("openapi-generator-cli", path=str(Path(sys.executable).parent))
     if program is None or shutil.which("java") is None:
         pytest.skip("needs Java and the package openapi-generator-cli (extra contract)")
-    command = [program, "generate", "-i", ROOT / "openapi.json", "-g", generator]
-    result = run(*command, "-o", folder)
+    result = run(program, "generate", "-i", DOCUMENT, "-g", generator, "-o", folder)
     said = result.stdout + result.stderr
     assert result.returncode == 0, said
     warnings = [line for line in said.splitlines() if re.search(r"\b(WARN|ERROR)\b", line)]
@@ -138,25 +153,36 @@ def generate(generator: str, folder: Path) -> Path:
     return folder
 
 
-def test_openapi_generators_python_client_uploads_a_frame_and_reads_problems(
-    server: Server, photo: Photo, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_openapi_generators_python_client_calls_every_route(
+    server: Server,
+    photo: Photo,
+    calls: dict[str, tuple[Any, ...]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for needed in ("urllib3", "dateutil"):
         pytest.importorskip(needed, reason=f"needs {needed}, which the generated client uses")
     monkeypatch.syspath_prepend(generate("python", tmp_path))
     client = importlib.import_module("openapi_client")
+    answers = {}
     with client.ApiClient(client.Configuration(host=server.url)) as connection:
-        pose = client.PoseApi(connection)
-        mask = ("mask.png", photo.mask_png)
-        answer = pose.estimate_pose(frame=("frame.png", photo.frame_png), n=3, mask=mask)
+        for name, (parameters, *body) in calls.items():
+            if body and body[0] == "CameraConfiguration":
+                model = client.CameraConfiguration.from_dict(body[1])
+                parameters = {**parameters, "camera_configuration": model}
+            elif body:
+                files = {k: ("f", v) if isinstance(v, bytes) else v for k, v in body[1].items()}
+                parameters = {**parameters, **files}
+            api = getattr(client, f"{operations()[name][0].title()}Api")(connection)
+            if name == "analyse_sequence":  # It reads no lines of JSON itself.
+                answer = api.analyse_sequence_without_preload_content(**parameters)
+                answers[name] = answer.data
+            else:
+                answers[name] = getattr(api, name)(**parameters)
+        check(answers, photo)
         with pytest.raises(client.ApiException) as caught:
-            pose.estimate_pose(frame=("frame.png", b"?"))
-        assert client.HealthApi(connection).liveness().status == "ok"
+            client.PoseApi(connection).estimate_pose(frame=("f", b"?"))
     assert caught.value.status == 400
-    (person,) = answer.persons
-    assert [h.rank for h in person.hypotheses] == [1, 2, 3]
-    assert person.hypotheses[0].entry == photo.entry
-    assert person.hypotheses[0].joints_3d[0].x == 0
 
 
 def test_openapi_generators_typescript_client_takes_a_frame_as_a_file(tmp_path: Path) -> None:
@@ -177,22 +203,30 @@ def typed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     installed = run("npm", "install", "--no-audit", "--no-fund", "--no-package-lock", cwd=copy)
     if installed.returncode != 0:
         pytest.skip(f"npm install failed: {installed.stderr.strip()[-200:]}")
-    output_of("node", "generate.mjs", ROOT / "openapi.json", "api.ts", cwd=copy)
+    output_of("node", "generate.mjs", DOCUMENT, "api.ts", cwd=copy)
     output_of("npx", "--no-install", "tsc", cwd=copy)
     return copy
 
 
-def test_typescript_uploads_a_frame_and_reads_poses_problems_and_pictures(
-    typed: Path, server: Server, photo: Photo
+def test_typescript_calls_every_route(
+    typed: Path, server: Server, photo: Photo, calls: dict[str, tuple[Any, ...]]
 ) -> None:
-    (typed / "frame.png").write_bytes(photo.frame_png)
-    (typed / "mask.png").write_bytes(photo.mask_png)
-    command = ("node", "client.js", server.url, "frame.png", "mask.png")
-    said = json.loads(output_of(*command, cwd=typed))
+    files = {
+        "frame": photo.frame_png,
+        "mask": photo.mask_png,
+        "video": calls["analyse_sequence"][2]["video"],
+    }
+    for name, data in files.items():
+        (typed / name).write_bytes(data)
+    said = json.loads(output_of("node", "client.js", server.url, *files, cwd=typed))
+    assert said["statuses"].keys() == {path for _, path in operations().values()}
+    assert all(set(statuses) <= {200, 204} for statuses in said["statuses"].values())
+    assert sum(map(len, said["statuses"].values())) == len(operations())
     (entries,) = said["entries"]
     assert len(entries) == 3
     assert entries[0] == photo.entry
     assert said["x"] > 0
+    assert said["zones"] == ["wall"]
     assert said["field"] == "frame"
     assert said["picture"] > 1000
 
