@@ -15,7 +15,7 @@ from pydantic import SecretStr
 from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
 from tests.conftest import Photo, Server, Serving
-from tests.support.service import check_problem, eventually, sample, samples, send
+from tests.support.service import check_problem, eventually, sample, send
 
 
 def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any) -> list[str]:
@@ -59,12 +59,6 @@ class TestTrackFrame:
         with serving(max_cameras=1) as client:
             assert sessions_of(client, photo, "yard", "gate", "yard") == ["new"] * 3
             assert sample(client, "pose_camera_sessions_ended_total", reason="number") == 2
-
-    def test_idle_sessions_end_by_themselves(self, serving: Serving, photo: Photo) -> None:
-        with serving(camera_idle_s=0.2) as client:
-            send(client, photo)
-            eventually(lambda: sample(client, "pose_camera_sessions") == 0)
-            assert sample(client, "pose_camera_sessions_ended_total", reason="idle") == 1
 
 
 class Gate:
@@ -130,25 +124,6 @@ class TestOrder:
             assert "retry-after" not in refused.headers  # The frame is out of date.
             assert sample(client, "pose_rejected_total", reason="superseded") == 1
             assert sample(client, "pose_rejected_total", reason="overloaded") is None
-
-    def test_frames_that_are_superseded_count_for_their_camera(
-        self, serving: Serving, photo: Photo, gate: Gate
-    ) -> None:
-        with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
-            queue = client.app.state.runtime.executor.queue  # type: ignore[attr-defined]
-            gate.let_go.set()
-            assert send(client, photo).status_code == 200
-            gate.let_go.clear()
-            running = threads.submit(send, client, photo)
-            eventually(lambda: gate.begun == 2)
-            older = threads.submit(send, client, photo)
-            eventually(lambda: queue.in_flight == 2)
-            newer = threads.submit(send, client, photo)
-            assert older.result(10).status_code == 503
-            gate.let_go.set()
-            assert [answer.result(10).status_code for answer in (running, newer)] == [200, 200]
-            dropped = samples(client, "pose_camera_frames_dropped_total")
-            assert dropped == [{"caller": "0", "camera": "yard", "reason": "superseded"}]
 
     def test_two_cameras_run_side_by_side(self, serving: Serving, photo: Photo, gate: Gate) -> None:
         with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(2) as threads:

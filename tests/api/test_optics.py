@@ -32,18 +32,6 @@ def squeezed(photo: Photo) -> dict[str, bytes]:
     return {"mask": png(mask)}
 
 
-def test_the_answer_says_which_field_of_view_was_used(client: TestClient, photo: Photo) -> None:
-    assumed = ask(client, {"mask": photo.mask_png})
-    assert (assumed["image"]["fov_deg"], assumed["image"]["fov_given"]) == (60, False)
-    assert assumed["persons"][0]["position"] is None
-    given = ask(client, {"mask": photo.mask_png}, fov_deg=90)
-    assert (given["image"]["fov_deg"], given["image"]["fov_given"]) == (90, True)
-    position = given["persons"][0]["position"]
-    distance = np.linalg.norm([position[axis] for axis in "xyz"])
-    assert position["z"] > 0
-    assert position["sd"] == pytest.approx(0.1 * distance, abs=0.01)
-
-
 def test_a_person_off_axis_is_turned_by_the_field_of_view(client: TestClient, photo: Photo) -> None:
     height, width = photo.mask.shape
     aside = np.zeros((height, 4 * width), np.uint8)

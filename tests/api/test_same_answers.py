@@ -88,19 +88,6 @@ def persons(
     return sorted(answer, key=lambda person: person["box"]["x"])
 
 
-@pytest.mark.parametrize("media_type", ["image/jpeg", "IMAGE/JPEG", "image/png"])
-@pytest.mark.parametrize("path", ["/pose", "/pose/overlay", "/silhouette"])
-def test_a_photograph_may_be_the_body(client: TestClient, path: str, media_type: str) -> None:
-    """Cameras and ``curl --data-binary`` send it so."""
-    raw = client.post(path, content=STREET, headers={"content-type": media_type})
-    form = client.post(path, files={"frame": STREET})
-    assert raw.status_code == form.status_code == 200
-    if path == "/pose":
-        assert raw.json()["persons"] == form.json()["persons"] != []
-    else:
-        assert raw.content == form.content
-
-
 @pytest.mark.parametrize("sent", SENT)
 @pytest.mark.parametrize("n", [1, 7, 30])
 def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str, n: int) -> None:

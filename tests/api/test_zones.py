@@ -1,23 +1,18 @@
-"""Zones of a camera over HTTP, and track ids of callers that track people themselves."""
+"""Zones of a camera over HTTP, and the file that configures cameras."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraEvents, CameraState
-from app.main import create_app
-from app.serving.loading import load_estimator, read_cameras
-from app.serving.runtime import Runtime
-from app.settings import Settings, SettingsError
-from index import DEFAULT_PATH
+from app.serving.loading import read_cameras
+from app.settings import SettingsError
 from index.store import PoseIndex
 from tests.conftest import Photo, Serving, photograph, png
 from tests.support.service import check_problem, eventually, send
@@ -74,14 +69,6 @@ class TestConfigure:
         configure(client, LEFT)
         assert client.delete("/cameras/yard").status_code == 204
         check_problem(client.delete("/cameras/yard"), 404)
-
-    def test_callers_have_separate_zones(self, serving: Serving) -> None:
-        keys = (SecretStr("first"), SecretStr("second"))
-        with serving(api_keys=keys, max_cameras=2) as client:
-            first, second = {"X-API-Key": "first"}, {"X-API-Key": "second"}
-            assert configure(client, LEFT, headers=first).status_code == 200
-            check_problem(client.get("/cameras/yard", headers=second), 404)
-            check_problem(configure(client, {"name": 1}), 401)
 
     def test_cameras_that_never_sent_a_frame_make_room(
         self, serving: Serving, photo: Photo
@@ -210,81 +197,3 @@ class TestPeople:
         assert client.get("/cameras/yard").json()["zones_outside"] == ["away"]
         assert configure(client, LEFT, RIGHT).json()["zones_outside"] == []
         assert send(client, photo).json()["image"]["warnings"] == []
-
-    def test_new_zones_hold_from_the_next_frame_on(self, client: TestClient, photo: Photo) -> None:
-        (before,) = send(client, photo).json()["persons"]
-        configure(client, RIGHT)
-        (after,) = send(client, photo).json()["persons"]
-        assert (before["zones"], after["zones"]) == ([], ["bed"])
-        assert after["track_id"] == before["track_id"]
-
-
-@pytest.fixture(scope="module")
-def shipped() -> Iterator[TestClient]:
-    """An application over the shipped index, which contains lying people."""
-    settings = Settings(index=DEFAULT_PATH)
-    with TestClient(create_app(settings, load_estimator(settings))) as client:
-        yield client
-
-
-def lying_masks(index: PoseIndex) -> list[bytes]:
-    """Masks of three people who lie on their backs, seen by a camera that is not rolled."""
-    skeletons = index.skeleton_labels[index.entries["skeleton"]]
-    lies = skeletons["action"] == index.actions.index("lie-on-back")
-    steady = (np.abs(index.entries["roll_deg"]) < 3) & (index.entries["elevation_deg"] > 15)
-    numbers = np.flatnonzero(lies & steady)
-    return [photograph(index, int(number)).mask_png for number in numbers[:: len(numbers) // 3][:3]]
-
-
-def watch(client: TestClient, mask: bytes) -> list[tuple[str, str]]:
-    """Events, with their zones, while a person lies in view for four seconds."""
-    events = []
-    for frame in range(20):
-        response = client.post(
-            "/cameras/yard/frames", files={"mask": mask}, data={"timestamp": str(frame / 5)}
-        )
-        events += [(event["event"], *event["zones"]) for event in response.json()["events"]]
-    client.delete("/cameras/yard")
-    return events
-
-
-def test_lying_is_an_event_except_in_bed(shipped: TestClient) -> None:
-    runtime: Runtime = shipped.app.state.runtime  # type: ignore[attr-defined]
-    found = set()
-    for mask in lying_masks(runtime.ready_estimator().index):
-        configure(shipped, RIGHT | {"kind": "watch"})
-        found.update(watch(shipped, mask))
-        configure(shipped, RIGHT)
-        assert watch(shipped, mask) == [("entered", "bed"), ("zone_entered", "bed")]
-    assert found == {("entered", "bed"), ("zone_entered", "bed"), ("lying", "bed")}
-
-
-class TestTrackIds:
-    BOXES = ([20, 30, 60, 150], [145, 35, 58, 140], [230, 30, 60, 150])
-
-    def test_track_ids_are_returned_in_any_order(self, client: TestClient, photo: Photo) -> None:
-        one, two, three = self.BOXES
-        first = track(client, photo, [one, two], track_ids='["17", 4]')
-        assert [person["caller_track_id"] for person in first["persons"]] == ["17", "4"]
-        own = {person["caller_track_id"]: person["track_id"] for person in first["persons"]}
-        # They swap places, which the tracker alone would not follow.
-        second = track(client, photo, [three, one], track_ids='["17", "4"]')
-        assert [person["caller_track_id"] for person in second["persons"]] == ["4", "17"]
-        for person in second["persons"]:
-            assert person["track_id"] == own[person["caller_track_id"]]
-            assert person["age_frames"] == 2
-        assert second["events"] == []
-
-    def test_events_name_track_ids(self, client: TestClient, photo: Photo) -> None:
-        box = self.BOXES[1]
-        (entered,) = track(client, photo, [box], track_ids='["a"]', timestamp="0")["events"]
-        assert (entered["event"], entered["caller_track_id"]) == ("entered", "a")
-        answer = track(client, photo, [box], track_ids='["b"]', timestamp="5")
-        assert [(e["event"], e["caller_track_id"]) for e in answer["events"]] == [
-            ("entered", "b"),
-            ("left", "a"),
-        ]
-
-    def test_persons_without_track_ids_have_null(self, client: TestClient, photo: Photo) -> None:
-        (person,) = track(client, photo, [self.BOXES[1]])["persons"]
-        assert person["caller_track_id"] is None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import shutil
 import ssl
 import subprocess
@@ -165,17 +164,14 @@ def client(proxy: Proxy) -> Iterator[httpx.Client]:
 def test_a_frame_is_answered_as_without_it(
     client: httpx.Client, service: Server, photo: Photo
 ) -> None:
-    there = client.post("/pose", files=photo.files)
+    # As the page sends it: the service compares the origin with the host.
+    there = client.post(
+        "/pose", files=photo.files, headers={"Origin": str(client.base_url).rstrip("/")}
+    )
     here = httpx.post(f"{service.url}/pose", files=photo.files)
     assert there.status_code == 200
     assert there.json()["persons"] == here.json()["persons"]
-    assert there.headers["x-request-id"]
-
-
-def test_metrics_are_hidden_and_the_page_works(client: httpx.Client) -> None:
     assert client.get("/metrics").status_code == 404
-    assert "content-security-policy" in client.get("/").headers
-    assert client.get("/static/page.js").status_code == 200
 
 
 def test_uploads_as_large_as_the_service_takes_reach_it(client: httpx.Client) -> None:
@@ -238,31 +234,3 @@ def test_a_client_cannot_pose_as_another(name: str, tmp_path: Path) -> None:
     assert headers["x-forwarded-for"] == "127.0.0.1"
     assert headers["x-forwarded-proto"] == "https"
     assert headers["x-api-key"] == "first"
-
-
-def seconds(text: str, directive: str) -> float:
-    """The largest value of a directive in seconds."""
-    return max(float(value) for value in re.findall(rf"{directive} (\d+)s", text))
-
-
-def test_body_limits_are_those_of_the_service() -> None:
-    sizes = [DEFAULTS["max_upload_bytes"], DEFAULTS["max_video_bytes"]]
-    mebibytes = [size // 2**20 for size in sizes]
-    assert [int(m) for m in re.findall(r"client_max_body_size (\d+)m", NGINX)] == mebibytes
-    assert sorted(int(m) for m in re.findall(r"max_size (\d+)MiB", CADDY)) == mebibytes
-
-
-def test_the_service_gives_up_before_the_proxy() -> None:
-    for text, directive, setting in (
-        (NGINX, "proxy_read_timeout", "sequence_timeout_s"),
-        (NGINX, "proxy_send_timeout", "video_upload_timeout_s"),
-        (CADDY, "response_header_timeout", "sequence_timeout_s"),
-        (CADDY, "read_body", "video_upload_timeout_s"),
-    ):
-        assert seconds(text, directive) > DEFAULTS[setting], directive
-    for text, directive in (
-        (NGINX, "proxy_read_timeout"),
-        (CADDY, "response_header_timeout"),
-    ):
-        shortest = min(float(value) for value in re.findall(rf"{directive} (\d+)s", text))
-        assert shortest > DEFAULTS["request_timeout_s"]

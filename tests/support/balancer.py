@@ -38,13 +38,7 @@ class Replica:
 class Balancer:
     """A balancer process on free ports before servers with these URLs, as a context manager."""
 
-    def __init__(
-        self,
-        *replicas: str,
-        configuration: Path = CONFIGURATION,
-        log: Path | None = None,
-        **environment: str,
-    ) -> None:
+    def __init__(self, *replicas: str, log: Path | None = None) -> None:
         service, operations = (f"127.0.0.1:{port}" for port in free_ports(2))
         self.url, self.operations_url = f"http://{service}", f"http://{operations}"
         self._environment = {
@@ -55,16 +49,14 @@ class Balancer:
                 f"REPLICA_{number}": url.removeprefix("http://")
                 for number, url in enumerate(replicas, start=1)
             },
-            **environment,
         }
-        self._configuration = configuration
         self._log = log or Path(os.devnull)
 
     def __enter__(self) -> Balancer:
         """Start it, and wait until one of its replicas is ready."""
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                ["haproxy", "-db", "-f", str(self._configuration)],
+                ["haproxy", "-db", "-f", str(CONFIGURATION)],
                 env=self._environment,
                 stdout=log,
                 stderr=subprocess.STDOUT,

@@ -17,7 +17,6 @@ from app.vision.people import silhouette_from_mask
 from tests.conftest import ROOT, WALKERS, Photo, png
 
 STATIC = ROOT / "app" / "static"
-MAX_LINES = 350
 
 
 def test_the_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
@@ -33,19 +32,6 @@ def test_the_page_loads_nothing_from_elsewhere(client: TestClient) -> None:
         assert content.status_code == 200
         if content.headers["content-type"] != "image/jpeg":
             assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", content.text), file
-
-
-def test_no_file_of_the_page_is_long() -> None:
-    for path in STATIC.glob("*.*s*"):
-        assert len(path.read_bytes().splitlines()) <= MAX_LINES, path.name
-
-
-def test_every_module_is_imported() -> None:
-    modules = {path.name: path.read_text() for path in STATIC.glob("*.js")}
-    imported = {
-        name for text in modules.values() for name in re.findall(r'from "\./([^"]+)"', text)
-    }
-    assert imported == set(modules) - {"page.js"}
 
 
 @pytest.fixture
@@ -102,25 +88,6 @@ def test_the_tallest_person_is_selected_first(page: Any, tmp_path: Path) -> None
     second = close_up.evaluate("c => c.toDataURL()")
     page.locator("#persons input").first.check()
     assert close_up.evaluate("c => c.toDataURL()") != second
-
-
-def test_a_background_is_sent_with_the_frame(page: Any, photo: Photo, tmp_path: Path) -> None:
-    paths = [tmp_path / "yard.png", tmp_path / "yard_background.png"]
-    paths[0].write_bytes(photo.frame_png)
-    paths[1].write_bytes(png(np.full(photo.frame.shape, 200, np.uint8)))
-    page.set_input_files("#file", [str(path) for path in paths])
-    page.get_by_text("-F 'background=@yard_background.png'").wait_for()
-    assert page.locator("#facts").get_by_text("background").count() > 0
-
-
-def test_measurements_come_first_and_the_clip_is_labelled(page: Any, pictures: list[str]) -> None:
-    page.set_input_files("#file", pictures)
-    page.locator("#hypotheses .card").first.wait_for()
-    assert page.locator("#terms h2").first.inner_text() == "Measured in the photograph"
-    assert "need not be what this person does" in page.locator("#supposed").inner_text()
-    for text in (page.locator("#facts").inner_text(), page.locator("#hypotheses").inner_text()):
-        assert "walk" not in text
-        assert "jump" not in text
 
 
 def test_after_an_error_the_old_answer_is_dimmed(
@@ -186,30 +153,6 @@ def test_a_large_photograph_is_sent_small_and_shown_large(page: Any, tmp_path: P
     shown = [int(number) for number in re.findall(r"\d+", size)[:2]]
     factor = 10 * height / 2560
     assert shown == pytest.approx([tallest["width"] * factor, tallest["height"] * factor], abs=1)
-
-
-def test_an_answer_is_scaled_back_to_the_photograph(page: Any) -> None:
-    answer = """{
-        image: {width: 100, height: 50},
-        persons: [{
-            box: {x: -0.5, y: 9.5, width: 10, height: 20},
-            silhouette: {area_px: 7},
-            observed_keypoints: [null, {name: 'nose', x: 0, y: 0, score: 1}],
-            hypotheses: [{joints_2d: [{x: 0, y: 1}, null]}],
-        }],
-    }"""
-    scaled = page.evaluate(
-        "async () => (await import('/static/photograph.js'))"
-        f".inPixelsOf({{width: 400, height: 200}}, {answer})"
-    )
-    (person,) = scaled["persons"]
-    assert scaled["image"] == {"width": 400, "height": 200}
-    assert person["box"] == {"x": -0.5, "y": 39.5, "width": 40, "height": 80}
-    assert person["silhouette"] == {"area_px": 112}
-    # The centre of a pixel four times as wide.
-    nose = {"name": "nose", "x": 1.5, "y": 1.5, "score": 1}
-    assert person["observed_keypoints"] == [None, nose]
-    assert person["hypotheses"][0]["joints_2d"] == [{"x": 1.5, "y": 5.5}, None]
 
 
 def test_silhouettes_are_drawn_as_in_the_answer(page: Any) -> None:

@@ -204,18 +204,6 @@ def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Pat
     assert not overflows(page)
 
 
-def test_a_video_that_nobody_can_read_leaves_the_last_result(page: Any, tmp_path: Path) -> None:
-    page.set_input_files("#file", str(WALKERS))
-    page.locator("#hypotheses .card").first.wait_for()
-    (tmp_path / "broken.avi").write_bytes(b"?")
-    page.set_input_files("#file", str(tmp_path / "broken.avi"))
-    page.get_by_text("“broken.avi”: expected a video").wait_for()
-    assert page.locator("#session").is_hidden()
-    assert page.locator("#hypotheses .card").first.is_visible()
-    assert not page.locator("#result").evaluate("r => r.inert")
-    assert "the answer before this" in page.locator("#note").inner_text()
-
-
 def test_an_answer_that_breaks_off_is_an_error(page: Any, tmp_path: Path) -> None:
     line = json.dumps(answer(0, 0.0) | {"type": "frame"})
     page.route("**/sequence?*", lambda route: route.fulfill(body=line + "\n"))
@@ -244,29 +232,6 @@ def test_seeking_shows_the_frame_of_that_time(page: Any, clip: str) -> None:
     page.get_by_text(f"frame {len(cameras.requests)}:").wait_for()
 
 
-def test_an_event_leads_to_its_frame(page: Any, clip: str) -> None:
-    Cameras(page)
-    play(page, clip)
-    page.locator("#events button").click()
-    page.get_by_text("frame 3:").wait_for()
-
-
-def test_looking_back_holds_a_video_and_goes_on_where_it_was(page: Any, clip: str) -> None:
-    cameras = Cameras(page)
-    page.set_input_files("#file", clip)
-    page.locator("#events li").wait_for()
-    page.locator("#timeline").press("Home")
-    page.get_by_text("frame 1:").wait_for()
-    page.wait_for_timeout(300)
-    sent = len(cameras.requests)
-    page.wait_for_timeout(300)
-    assert len(cameras.requests) == sent
-    page.get_by_role("button", name="Go on").click()
-    page.get_by_text("The end, after").wait_for()
-    times = cameras.timestamps()
-    assert times == sorted(set(times))
-
-
 def test_seeking_ahead_skips_frames(page: Any, clip: str) -> None:
     cameras = Cameras(page)
     page.set_input_files("#file", clip)
@@ -280,16 +245,6 @@ def test_seeking_ahead_skips_frames(page: Any, clip: str) -> None:
     times = cameras.timestamps()
     assert times == sorted(set(times))
     assert max(later - sooner for sooner, later in pairwise(times)) > 0.5
-
-
-def test_all_answers_can_be_downloaded(page: Any, clip: str) -> None:
-    cameras = Cameras(page)
-    play(page, clip)
-    with page.expect_download() as download:
-        page.get_by_role("button", name="Download the answers").click()
-    assert download.value.suggested_filename == "clip.pose.json"
-    frames = json.loads(Path(download.value.path()).read_text())["frames"]
-    assert [frame["timestamp"] for frame in frames] == cameras.timestamps()
 
 
 def draw_zone(page: Any, corners: list[tuple[float, float]], name: str) -> None:
@@ -334,22 +289,6 @@ def test_a_zone_is_drawn_with_the_mouse_and_set_for_the_camera(
     assert "curl -X PUT" in page.locator("#zones-command").text_content()
     page.get_by_role("button", name="Remove the zone yard").click()
     page.locator("#zones li").wait_for(state="detached")
-
-
-def test_a_zone_that_is_refused_says_so_beside_it(
-    page: Any, server: Server, tmp_path: Path
-) -> None:
-    page.set_input_files("#file", walkers(tmp_path))
-    page.locator("#crowd tr").first.wait_for()
-    draw_zone(page, CORNERS, "yard")
-    page.get_by_role("button", name="Save the zone").click()
-    page.locator("#zones li").wait_for()
-    draw_zone(page, CORNERS, "yard")
-    page.get_by_role("button", name="Save the zone").click()
-    page.locator("#zone-message").get_by_text("expected zones of different names").wait_for()
-    page.get_by_role("button", name="Discard it").click()
-    assert page.locator("#zones li").count() == 1
-    assert page.locator("#zone-message").is_hidden()
 
 
 def test_drawing_can_be_given_up(page: Any, clip: str) -> None:

@@ -1,14 +1,12 @@
-"""The service as a process: start, probes, overload, hang-ups, the end."""
+"""The service as a process: a broken index, overload, hang-ups, the end."""
 
 from __future__ import annotations
 
 import json
 import shutil
-import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 
@@ -17,7 +15,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.conftest import Photo, Server, running_server, start_server, wait_until
+from tests.conftest import Server, running_server, start_server, wait_until
 from tests.support.service import check_problem, eventually, sample
 
 
@@ -107,44 +105,3 @@ def test_a_corrupted_index_is_reported_and_not_served(index_path: Path, tmp_path
         check_problem(httpx.post(f"{running.url}/pose", files={"frame": b"x"}), 503)
     finally:
         assert running.stop() == 0
-
-
-def test_a_slow_upload_gets_a_408(index_path: Path) -> None:
-    def trickle() -> Iterator[bytes]:
-        yield b'--b\r\nContent-Disposition: form-data; name="frame"; filename="f"\r\n\r\n'
-        for _ in range(20):
-            yield b"x"
-            time.sleep(0.1)
-
-    headers = {"content-type": "multipart/form-data; boundary=b"}
-    # The connection may be closed while the client still writes.
-    with (
-        running_server(index_path, POSE_UPLOAD_TIMEOUT_S="0.3") as running,
-        suppress(httpx.WriteError),
-    ):
-        response = httpx.post(f"{running.url}/pose", content=trickle(), headers=headers)
-        assert response.status_code == 408
-
-
-def test_stalled_uploads_do_not_block_others(index_path: Path, photo: Photo) -> None:
-    head = (
-        b"POST /pose HTTP/1.1\r\nHost: x\r\nContent-Type: image/png\r\nContent-Length: 999\r\n\r\n"
-    )
-    limits = {"POSE_MAX_REQUESTS": "4", "POSE_UPLOAD_TIMEOUT_S": "600"}
-    with running_server(index_path, **limits) as running, ExitStack() as connections:
-        host, port = running.url.removeprefix("http://").split(":")
-        for _ in range(4):
-            stalled = connections.enter_context(socket.create_connection((host, int(port))))
-            stalled.sendall(head + b"\x89PNG")
-        ask = partial(httpx.post, f"{running.url}/pose", files=photo.files)
-        eventually(lambda: ask().status_code == 200)
-        assert value(running, "pose_rejected_total", reason="slow_upload") >= 1
-
-
-def test_the_server_answers_bytes_that_are_no_request(server: Server) -> None:
-    host, port = server.url.removeprefix("http://").split(":")
-    with socket.create_connection((host, int(port)), timeout=10) as connection:
-        connection.sendall(b"BREW /pot HTTP/1.1\r\n\r\n")
-        answer = connection.makefile("rb").read()
-    assert answer.startswith(b"HTTP/1.1 501 ")
-    assert b"application/problem+json" in answer

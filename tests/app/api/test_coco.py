@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from fastapi.testclient import TestClient
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
@@ -15,7 +14,6 @@ from numpy.typing import NDArray
 
 from app.api.replies import compressed, polygon, run_lengths
 from app.vision.people import Silhouette, silhouette_from_mask
-from tests.conftest import Photo
 
 masks = arrays(
     np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=24), elements=st.booleans()
@@ -96,23 +94,3 @@ def test_a_filled_polygon_is_the_silhouette_without_its_holes(mask: NDArray[np.b
     )
     outside = (labels == labels[0, 0])[1:-1, 1:-1]
     assert np.array_equal(filled(parts, mask.shape), ~outside)
-
-
-def silhouette(client: TestClient, photo: Photo, **params: str) -> dict[str, Any]:
-    answer = client.post("/pose", files=photo.files, params={"n": 1, **params})
-    assert answer.status_code == 200, answer.text
-    return answer.json()["persons"][0]["silhouette"]
-
-
-def test_silhouettes_have_the_requested_format(client: TestClient, photo: Photo) -> None:
-    mask = photo.mask == 1
-    rle = silhouette(client, photo, silhouettes="rle")
-    assert rle["rle"]["size"] == [240, 320]
-    assert np.array_equal(mask_of(rle["rle"]), mask)
-    assert rle["polygon"] is None
-    outlines = silhouette(client, photo, silhouettes="polygon")
-    assert outlines["rle"] is None
-    assert (filled(outlines["polygon"], mask.shape) & mask).sum() == mask.sum()
-    for params in ({}, {"silhouettes": "none"}):
-        neither = silhouette(client, photo, **params)
-        assert neither["rle"] is neither["polygon"] is None

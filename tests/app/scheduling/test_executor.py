@@ -214,25 +214,6 @@ class TestParts:
         found = executor.map(lambda row: executor.map(lambda n: row * n, range(3)), range(3))
         assert found == [[0, 0, 0], [0, 1, 2], [0, 2, 4]]
 
-    async def test_helpers_serve_every_divided_frame(self) -> None:
-        executor = executor_of(3)
-        helped = {name: threading.Event() for name in "ab"}
-
-        def frame(name: str) -> None:
-            own = threading.get_ident()
-
-            def part(_: int) -> None:
-                if threading.get_ident() == own:
-                    # The frame's own thread takes one part; helpers have to take the others.
-                    assert helped[name].wait(10)
-                helped[name].set()
-
-            executor.map(part, range(5))
-
-        async with anyio.create_task_group() as tasks:
-            for name in helped:
-                tasks.start_soon(run, executor, lambda _, name=name: frame(name))
-
     async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
         meeting = threading.Barrier(2, timeout=10)  # Needs two threads.

@@ -296,13 +296,3 @@ class TestCameras:
         queue.release(running)
         assert newer.begun.done()
         assert not other.begun.done()
-
-    async def test_a_full_queue_still_lets_a_camera_replace_its_own_frame(self) -> None:
-        queue = FairQueue(1, 0.15)
-        queue.enqueue("a", None, "yard")
-        queue.enqueue("a", None, "yard")
-        with pytest.raises(OverloadedError):
-            queue.check("a", "gate")
-        queue.check("a", "yard")
-        queue.enqueue("a", None, "yard")
-        assert queue.in_flight == 2
