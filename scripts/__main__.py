@@ -32,7 +32,6 @@ COMMANDS = {
     "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),
     "fuzz": ("scripts.load.fuzz", "upload damaged and odd images"),
     "cameras": ("scripts.load.cameras", "find how many cameras a server carries"),
-    "clients": ("scripts.load.clients", "see whether any of several clients starves"),
     "debug-frame": ("scripts.debug_frame", "draw every step of one photograph"),
     "openapi": ("scripts.openapi", "write openapi.json"),
     "convert": ("scripts.convert", "convert the published networks to those of the service"),
@@ -41,7 +40,7 @@ COMMANDS = {
         "scripts.watch_camera.command",
         "a camera's frames to a service, events to a webhook and MQTT",
     ),
-    "track-video": ("scripts.examples.track_video", "annotate a video with tracked people"),
+    "track-video": ("scripts.track_video", "annotate a video with tracked people"),
 }
 """Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
 

@@ -7,7 +7,6 @@
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate homes        films of homes as camera sessions, by source
     python -m scripts evaluate actions      actions, postures and falls of tracks
-    python -m scripts evaluate weizmann     actions in the Weizmann data set, as in the paper
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
 Without a name, all of them run.
@@ -32,7 +31,6 @@ EXPERIMENTS = {
     "photographs": "photographs",
     "homes": "homes",
     "actions": "actions",
-    "weizmann": "weizmann",
     "tracking": "tracking",
 }
 """Page of each experiment. Its module in ``scripts.experiments`` is imported only when it runs; it

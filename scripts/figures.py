@@ -34,7 +34,7 @@ from index.posture import LOW, POSTURES
 from scripts.results import RESULTS, ROOT, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
-RELIABILITY = ("cameras", "overload", "fuzz", "soak", "clients")
+RELIABILITY = ("cameras", "overload", "fuzz", "soak")
 """Measurements of a running server: each is a section of one page, and is repeated by itself."""
 
 NAMES = {

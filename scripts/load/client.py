@@ -11,7 +11,6 @@ References
 
 from __future__ import annotations
 
-import re
 import select
 import threading
 import time
@@ -24,13 +23,9 @@ from http.client import HTTPConnection, HTTPMessage
 from urllib.parse import urlsplit
 
 import httpx
-import numpy as np
 
 MAX_CONNECTIONS = 400
 """While this many requests are unanswered, further ones are not sent, but counted."""
-
-PROBE_EVERY_S = 0.02
-PROBE_P99_MS = 50.0
 
 _TEXT_FIELDS = ("api_key", "boxes", "min_confidence", "timestamp")
 
@@ -61,14 +56,11 @@ class Client:
     """Sends calls over one connection, opened again if the server has closed it.
 
     ``http.client`` takes 0.4 ms of processor time a request, httpx 1.4 ms. ``timeout_s`` is the
-    longest silence of the server, ``source`` the address of this machine to send from.
+    longest silence of the server.
     """
 
-    def __init__(self, url: str, timeout_s: float = 30, source: str | None = None) -> None:
-        address = (source, 0) if source else None
-        self._connection = HTTPConnection(
-            urlsplit(url).netloc, timeout=timeout_s, source_address=address
-        )
+    def __init__(self, url: str, timeout_s: float = 30) -> None:
+        self._connection = HTTPConnection(urlsplit(url).netloc, timeout=timeout_s)
 
     def send(self, call: Call) -> tuple[int, bytes]:
         """Return status and body."""
@@ -137,7 +129,7 @@ class Answer:
 
 @dataclass
 class Tally:
-    """Outcome of the requests of one client, or of all clients of a run.
+    """Outcome of the requests of all clients of a run.
 
     ``broken`` names the errors of connections. Requests are ``unsent`` for want of connections, and
     ``late_ms`` after their time: large values mean that the client was the bottleneck. ``seconds``
@@ -150,15 +142,6 @@ class Tally:
     unsent: int = 0
     seconds: float = 0.0
 
-    @classmethod
-    def of(cls, tallies: Sequence[Tally]) -> Tally:
-        """Return the tally of several clients."""
-        return cls(
-            [answer for one in tallies for answer in one.answers],
-            [error for one in tallies for error in one.broken],
-            seconds=max(one.seconds for one in tallies),
-        )
-
     def with_status(self, status: int) -> list[Answer]:
         """Return the answers with a status."""
         return [answer for answer in self.answers if answer.status == status]
@@ -168,51 +151,39 @@ class Tally:
         counts = Counter(answer.status for answer in self.answers)
         return {str(status): counts[status] for status in sorted(counts)}
 
-    def send(self, client: Client, request: Request) -> Answer | None:
-        """Send a request and count its answer; None if there is none."""
+    def send(self, client: Client, request: Request) -> None:
+        """Send a request and count its answer."""
         started = time.perf_counter()
         try:
             if request.hang_up:
                 client.hang_up(request.call)
-                return None
+                return
             status, headers, _ = client.exchange(request.call)
         except Exception as error:  # Every error is counted and shown.
             self.broken.append(f"{request.kind} {type(error).__name__}".strip())
-            return None
+            return
         after = headers["Retry-After"]
         ms = (time.perf_counter() - started) * 1000
-        found = Answer(request, status, ms, None if after is None else float(after))
-        self.answers.append(found)
-        return found
+        self.answers.append(Answer(request, status, ms, None if after is None else float(after)))
 
 
 def closed_loop(
-    clients: Sequence[tuple[Client, Iterator[Request]]],
-    seconds: float = float("inf"),
-    *,
-    patient: bool = False,
-) -> list[Tally]:
-    """Let each client send its requests, the next when the last is answered; return their tallies.
+    clients: Sequence[tuple[Client, Iterator[Request]]], seconds: float = float("inf")
+) -> Tally:
+    """Let each client send its requests, the next when the last is answered."""
+    tally, started = Tally(), time.perf_counter()
 
-    Patient clients send a refused request again after its ``Retry-After``.
-    """
-    started = time.perf_counter()
-    until = started + seconds
-
-    def run(client: Client, requests: Iterator[Request]) -> Tally:
-        tally = Tally()
-        while time.perf_counter() < until and (request := next(requests, None)) is not None:
-            found = tally.send(client, request)
-            while patient and found is not None and found.status == 503:
-                left = until - time.perf_counter()
-                time.sleep(max(0.0, min(found.retry_after_s or 0.0, left)))
-                found = tally.send(client, request) if time.perf_counter() < until else None
+    def run(client: Client, requests: Iterator[Request]) -> None:
+        while time.perf_counter() < started + seconds:
+            if (request := next(requests, None)) is None:
+                break
+            tally.send(client, request)
         client.close()
-        tally.seconds = time.perf_counter() - started
-        return tally
 
     with ThreadPoolExecutor(len(clients)) as threads:
-        return list(threads.map(run, *zip(*clients, strict=True)))
+        list(threads.map(run, *zip(*clients, strict=True)))
+    tally.seconds = time.perf_counter() - started
+    return tally
 
 
 def open_loop(url: str, requests: Iterator[Request], times_s: Iterable[float]) -> Tally:
@@ -242,24 +213,3 @@ def open_loop(url: str, requests: Iterator[Request], times_s: Iterable[float]) -
     for client in idle:
         client.close()
     return tally
-
-
-def probe(url: str, seconds: float) -> list[float]:
-    """Ask ``/healthz`` at fixed times, each over a new connection; return milliseconds."""
-    times = []
-    started = time.perf_counter()
-    for at in np.arange(0.0, seconds, PROBE_EVERY_S):
-        time.sleep(max(0.0, started + at - time.perf_counter()))
-        asked = time.perf_counter()
-        status, _ = Client(url).send(Call("GET", "/healthz"))
-        if status != 200:
-            raise RuntimeError(f"/healthz answered {status}")
-        times.append((time.perf_counter() - asked) * 1000)
-    return times
-
-
-def metric(url: str, sample: str) -> float:
-    """Return the value of a sample of ``/metrics``; 0 where there is none yet."""
-    _, metrics = Client(url).send(Call("GET", "/metrics"))
-    found = re.search(rf"^{re.escape(sample)} (\S+)", metrics.decode(), re.MULTILINE)
-    return float(found.group(1)) if found else 0.0

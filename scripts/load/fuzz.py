@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from index.store import PoseIndex
-from scripts.load.client import Call, Client, Request, Tally, closed_loop
+from scripts.load.client import Call, Client, Request, closed_loop
 from scripts.load.scenes import encode, street
 from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 
@@ -145,7 +145,7 @@ def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figure
     """Fuzz a server."""
     uploads = Uploads(server, index, count)
     clients = [(Client(server.url), uploads.requests(number)) for number in range(CLIENTS)]
-    tally = Tally.of(closed_loop(clients))
+    tally = closed_loop(clients)
     if not server.alive():
         raise ValueError("the server has died")
     slowest = max((answer.ms for answer in tally.answers), default=0.0)

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
+import time
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 
@@ -19,21 +21,18 @@ from app.settings import Settings
 from index.store import PoseIndex
 from scripts.load.client import (
     MAX_CONNECTIONS,
-    PROBE_EVERY_S,
-    PROBE_P99_MS,
     Call,
     Client,
     Request,
     Tally,
     closed_loop,
-    metric,
     open_loop,
-    probe,
 )
 from scripts.load.scenes import small_calls
 from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 
 TIMES = 10
+PROBE_EVERY_S, PROBE_P99_MS = 0.02, 50.0
 REJECTED_P99_MS = 50.0
 GIVEN_UP = 'pose_rejected_total{reason="deadline"}'
 
@@ -44,7 +43,7 @@ def overload(url: str, calls: list[Call], in_flight: int, seconds: float) -> Fig
 
     def carried(duration: float) -> Tally:
         clients = [(Client(url), itertools.cycle(requests)) for _ in range(in_flight)]
-        return Tally.of(closed_loop(clients, duration))
+        return closed_loop(clients, duration)
 
     carried(2)  # Warms up.
     most = carried(seconds / 3)
@@ -122,6 +121,27 @@ def measure(server: ServerProcess, index: PoseIndex, seconds: float) -> tuple[Fi
         "kinds": kinds,
     }
     return found, met
+
+
+def probe(url: str, seconds: float) -> list[float]:
+    """Ask ``/healthz`` at fixed times, each over a new connection; return milliseconds."""
+    times = []
+    started = time.perf_counter()
+    for at in np.arange(0.0, seconds, PROBE_EVERY_S):
+        time.sleep(max(0.0, started + at - time.perf_counter()))
+        asked = time.perf_counter()
+        status, _ = Client(url).send(Call("GET", "/healthz"))
+        if status != 200:
+            raise RuntimeError(f"/healthz answered {status}")
+        times.append((time.perf_counter() - asked) * 1000)
+    return times
+
+
+def metric(url: str, sample: str) -> float:
+    """Return the value of a sample of ``/metrics``; 0 where there is none yet."""
+    _, metrics = Client(url).send(Call("GET", "/metrics"))
+    found = re.search(rf"^{re.escape(sample)} (\S+)", metrics.decode(), re.MULTILINE)
+    return float(found.group(1)) if found else 0.0
 
 
 main = partial(run, measure, "overload", "seconds", 20.0)

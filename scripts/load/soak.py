@@ -102,7 +102,7 @@ class Soak:
     def run(self) -> Tally:
         """Send everything."""
         clients = [(Client(self._server.url), self._requests(n)) for n in range(CLIENTS)]
-        return Tally.of(closed_loop(clients))
+        return closed_loop(clients)
 
     def _requests(self, client: int) -> Iterator[Request]:
         rng = np.random.default_rng(client)

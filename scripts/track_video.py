@@ -1,6 +1,6 @@
 """Annotate a video with the people who are tracked in it, in this process.
 
-    python -m scripts track-video VIDEO OUT.mp4 [--stride 1] [--sheet FILE]
+    python -m scripts track-video VIDEO OUT.mp4 [--stride 1]
 
 The video is H.264, which players and browsers show. A service answers the same results as JSON to
 ``POST /sequence``.
@@ -34,7 +34,6 @@ from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
 from scripts.helpers import check_outputs
 
-SHEET_FRAMES, SHEET_COLUMNS, CELL_PX = 12, 3, 400
 EVENT_SHOWN_S = 2.0
 _WHITE = (255, 255, 255)
 
@@ -99,17 +98,6 @@ def _colour(track_id: int) -> tuple[int, int, int]:
     return PEOPLE[(track_id - 1) % len(PEOPLE)]
 
 
-def contact_sheet(cells: Sequence[Picture]) -> Picture:
-    """Return pictures of one size in rows of :data:`SHEET_COLUMNS`, the rest black."""
-    missing = -len(cells) % SHEET_COLUMNS
-    padded = [*cells, *[np.zeros_like(cells[0])] * missing]
-    rows = [
-        np.hstack(padded[first : first + SHEET_COLUMNS])
-        for first in range(0, len(padded), SHEET_COLUMNS)
-    ]
-    return np.vstack(rows)
-
-
 def frames_of(video: Path, stride: int) -> Iterator[Frame]:
     """Yield every ``stride``-th frame, up to where the video cannot be read."""
     frame = None
@@ -152,20 +140,6 @@ def write_video(pictures: Iterable[tuple[float, Picture]], path: Path) -> int:
     return written
 
 
-def contact_sheet_of(video: Path, frames: int) -> Picture:
-    """Return a contact sheet of :data:`SHEET_FRAMES` of the frames of a video."""
-    shown = set(np.linspace(0, frames - 1, SHEET_FRAMES).round().astype(int).tolist())
-    return contact_sheet(
-        [_shrunk(frame.pixels) for frame in Video(str(video)).frames() if frame.number in shown]
-    )
-
-
-def _shrunk(picture: Picture) -> Picture:
-    height, width = picture.shape[:2]
-    size = (CELL_PX, CELL_PX * height // width)
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Annotate as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -174,15 +148,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--stride", type=int, default=1, help="work on every n-th frame")
     parser.add_argument("--max-frames", type=int, help="work on no more frames than this")
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
-    parser.add_argument("--sheet", type=Path, help="contact sheet of 12 frames, PNG")
     options = parser.parse_args(arguments)
     if options.stride < 1 or (options.max_frames is not None and options.max_frames < 1):
         parser.error("--stride and --max-frames: expected at least 1")
-    check_outputs((options.out, options.sheet), (options.video,))
+    check_outputs((options.out,), (options.video,))
     estimator = load_estimator(Settings(index=options.index))
     frames = islice(frames_of(options.video, options.stride), options.max_frames)
     written = write_video(annotated(frames, estimator), options.out)
-    if options.sheet:
-        sheet = contact_sheet_of(options.out, written)
-        cv2.imwrite(str(options.sheet), sheet, [cv2.IMWRITE_PNG_COMPRESSION, 9])
     print(f"track-video: {written} frames in {options.out}")

@@ -1,4 +1,4 @@
-"""A street video becomes an annotated video and a contact sheet."""
+"""A street video becomes an annotated video."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import cv2
 import pytest
 
 from app.video.frames import Video
-from scripts.examples import track_video
+from scripts import track_video
 from tests.conftest import SHARED
-from tests.support.videos import Picture, numbered_frames, write_video
+from tests.support.videos import Picture, write_video
 
 STREET = SHARED / "real" / "vtest" / "vtest.avi"
 
@@ -38,9 +38,8 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_people_are_drawn_into_a_video(
     street: Path, index_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, sheet = tmp_path / "out" / "street.mp4", tmp_path / "sheet.png"
-    options = ("--stride", 2, "--max-frames", 3, "--index", index_path, "--sheet", sheet)
-    run(street, out, *options)
+    out = tmp_path / "out" / "street.mp4"
+    run(street, out, "--stride", 2, "--max-frames", 3, "--index", index_path)
     assert f"3 frames in {out}" in capsys.readouterr().out
     # What browsers play, and before the whole file is there.
     with av.open(str(out)) as written:
@@ -53,9 +52,6 @@ def test_people_are_drawn_into_a_video(
     changed = cv2.absdiff(drawn[0], filmed[0]).max(axis=-1) > 100
     assert changed[60:400].sum() > 1000  # Boxes, skeletons and words.
     assert not changed[500:, 500:].any()
-    picture = cv2.imread(str(sheet))
-    assert picture is not None
-    assert picture.shape == (300, 3 * track_video.CELL_PX, 3)
 
 
 def test_a_file_that_is_no_video_is_refused(
@@ -64,11 +60,3 @@ def test_a_file_that_is_no_video_is_refused(
     (tmp_path / "notes.avi").write_bytes(b"no video")
     with pytest.raises(SystemExit, match="expected a video, got something else"):
         run(tmp_path / "notes.avi", tmp_path / "out.mp4", "--index", index_path)
-
-
-def test_a_short_sheet_is_filled_up() -> None:
-    cells = numbered_frames(4)
-    sheet = track_video.contact_sheet(cells)
-    assert sheet.shape == (96, 192, 3)
-    assert (sheet[48:, :64] == cells[3]).all()
-    assert not sheet[48:, 64:].any()

@@ -1,1 +1,0 @@
-"""Clients and uses of the service, to start from."""
