@@ -1,7 +1,7 @@
 """Films of homes as camera sessions: falls, false alarms and postures by source.
 
-Whole films are sent as a caller would send them, six frames a second, and no frame is held at the
-end: what a film does not show, its session does not see.
+Whole films are sent as a caller would send them, and no frame is held at the end: what a film does
+not show, its session does not see.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from scripts.datasets import LOW, SITTING, UPRIGHT, HomeFilm, home_films
 from scripts.helpers import track
 from scripts.metrics import percent
 
-PER_SECOND = 6.0
 EARLY_S = 0.3
 """The labels of a fall's begin are so exact."""
 
@@ -69,22 +68,28 @@ class Watched:
         return None if "crawl" in about or "imm" in about else "activity"
 
 
+def add_arguments(parser: argparse._ArgumentGroup) -> None:
+    """Add this experiment's options to the command line."""
+    parser.add_argument("--fps", type=float, default=6.0, help="frames sent a second (default: 6)")
+
+
 def run(options: argparse.Namespace) -> Figures:
     """Watch all films."""
     estimator = load_estimator(Settings())
     films = list(home_films(options.shared / "real"))
-    watched = [watch(estimator, film) for film in tqdm(films, unit="film")]
+    watched = [watch(estimator, film, options.fps) for film in tqdm(films, unit="film")]
     return {
+        "fps": options.fps,
         "events": {kind: summarise(watched, kind) for kind in KINDS},
         "sources": by_source(watched),
         "postures": postures(watched),
     }
 
 
-def watch(estimator: Estimator, film: HomeFilm) -> Watched:
-    """Send a film to a session of its own."""
+def watch(estimator: Estimator, film: HomeFilm, fps: float) -> Watched:
+    """Send a film, at most ``fps`` frames a second, to a session of its own."""
     session, seen = CameraSession(estimator), Watched(film)
-    for at, frame in film.frames(PER_SECOND):
+    for at, frame in film.frames(fps):
         reply = track(session, frame, round(at, 3))
         seen.events += [(at, one.event) for one in reply.events if one.state != "end"]
         truth = film.truth(at)
