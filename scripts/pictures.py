@@ -11,6 +11,7 @@ OpenCV ships (Apache-2.0), and the seconds after it as a video, which may be pas
 from __future__ import annotations
 
 import argparse
+import io
 import shutil
 import tempfile
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from PIL import Image
 
 from app.photograph import Estimator
 from app.serving.loading import load_estimator
@@ -112,7 +114,11 @@ def save_page(shared: Path, docs: Path) -> None:
                     page = context.new_page()
                     page.goto(server.url)
                     _show(page, file, kind == "-video")
-                    page.screenshot(path=docs / f"page{kind}-{screen}.png", full_page=True)
+                    picture = Image.open(io.BytesIO(page.screenshot(full_page=True)))
+                    # 256 colours: a quarter of the bytes.
+                    picture.convert("RGB").quantize(
+                        method=Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE
+                    ).save(docs / f"page{kind}-{screen}.png", optimize=True)
             browser.close()
 
 
@@ -136,7 +142,7 @@ def _show(page: Any, file: Path, video: bool) -> None:
     if video:
         page.get_by_text("The end, after").wait_for(timeout=TIMEOUT_MS)
     else:
-        page.locator("#hypotheses .card").first.wait_for(timeout=TIMEOUT_MS)
+        page.get_by_text(f"frame=@{file.name}").wait_for(timeout=TIMEOUT_MS)
         page.wait_for_load_state("networkidle")
     page.locator("#live-solid" if video else "#solid").focus()
     for _ in range(3):

@@ -42,11 +42,11 @@ export function showTerms(list, pairs) {
   ]));
 }
 
-/** Copy a text, or select it where the browser gives no access to the clipboard. */
-export async function copy(text, what, source) {
+/** Copy an element's text, or select it where the browser gives no access to the clipboard. */
+export async function copy(source) {
   try {
-    await navigator.clipboard.writeText(text);
-    return `${what} copied`;
+    await navigator.clipboard.writeText(source.textContent);
+    return "copied";
   } catch {
     // Pages without TLS have no clipboard.
     getSelection().selectAllChildren(source);
@@ -68,10 +68,3 @@ export const saveJson = (value, name) =>
 
 /** The name of a file with another ending. */
 export const renamed = (name, ending) => `${(name || "photo").replace(/\.[^.]*$/, "")}${ending}`;
-
-/** Scroll to the result, which starts below the fold on a narrow screen. */
-export function bringIntoView(result) {
-  if (!matchMedia("(max-width: 44rem)").matches) return;
-  const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-  ($("note").hidden ? result : $("note")).scrollIntoView({ behavior: still ? "auto" : "smooth" });
-}

@@ -2,7 +2,7 @@
 
 import { inWords, percent } from "./dom.js";
 
-const FACING_FROM = { image: "from the photograph", motion: "from the motion", none: "a silhouette cannot show it" };
+const FACING_FROM = { image: "photograph", motion: "motion", none: "a silhouette cannot show it" };
 
 const FOUND_BY = {
   detector: "the detector", mask: "your mask", boxes: "your boxes",
@@ -22,16 +22,16 @@ export function measured({
     ["Size", `${Math.round(box.width)} × ${Math.round(box.height)} px, silhouette ${silhouette.area_px.toLocaleString("en")} px`
       + (silhouette.truncated ? ", cut off" : "")],
     ["Keypoints", seen ? `${seen.filter(Boolean).length} of ${seen.length} seen` : "not read"],
-    ["Found by", FOUND_BY[source] + (score === null ? "" : ` (${percent(score)})`)],
-    ["Cut out by", silhouette.segmenter],
+    ["Found by", FOUND_BY[source] + (score === null ? "" : ` (${percent(score)})`)
+      + `, cut out by ${silhouette.segmenter}`],
   ];
 }
 
-const HEIGHTS = [[-3, "from below"], [10, "level"], [30, "from slightly above"], [55, "from above"]];
+const HEIGHTS = [[-3, "below"], [10, "level"], [30, "slightly above"], [55, "above"]];
 
 /** A camera's elevation in words. */
 const height = (degrees) =>
-  `${(HEIGHTS.find(([max]) => degrees < max) ?? [, "from high above"])[1]} (${Math.round(degrees)}°)`;
+  `${(HEIGHTS.find(([max]) => degrees < max) ?? [, "high above"])[1]} (${Math.round(degrees)}°)`;
 
 /** An azimuth between -180 and 180: 0 from the front, positive from the person's left. */
 const around = (degrees) => ((Math.round(degrees) + 540) % 360) - 180;
@@ -44,15 +44,14 @@ export const sideSeen = (azimuth) => SIDES[((Math.round(azimuth / 45) % 8) + 8) 
 /** A hypothesis and its source, as pairs of term and text. */
 export function supposed({ confidence, reprojection_error_px: error, posture, entry, source, camera }) {
   const azimuth = around(camera.azimuth_deg);
-  const side = azimuth > 0 ? "the person’s left" : "the person’s right";
+  const side = azimuth > 0 ? "left" : "right";
   return [
     ["Confidence", `${percent(confidence)} that its joints are right`],
     ["Posture", inWords(posture)],
-    ["Outline", `${error.toFixed(1)} px from the entry’s on average, in 128 × 48`],
-    ["Seen from", `${Math.abs(azimuth)}° to ${side}, ${height(camera.elevation_deg)}`],
-    ["Entry", `${entry}: body ${source.subject}, clip ${source.clip}, frame ${source.frame}`
-      + (source.mirrored ? ", mirrored" : "")],
-    ["Its clip", `${source.action}, which need not be what this person does`],
+    ["Outline", `${error.toFixed(1)} px from the entry’s, in 128 × 48 px`],
+    ["Seen from", `${Math.abs(azimuth)}° to their ${side}, ${height(camera.elevation_deg)}`],
+    ["Entry", `${entry}: clip ${source.clip} (${source.action}), frame ${source.frame}`
+      + `${source.mirrored ? ", mirrored" : ""}, on ${source.subject}`],
   ];
 }
 

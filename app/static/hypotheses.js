@@ -17,7 +17,7 @@ const centimetres = (metres) => `${Math.round(100 * metres)} cm`;
 
 /** How far a hypothesis is from the best one, in words. */
 function apart(hypothesis, best, { names }) {
-  if (hypothesis === best) return "nothing: it is the best";
+  if (hypothesis === best) return "–";
   const found = difference(hypothesis.joints_3d, best.joints_3d, names);
   return found ? `${centimetres(found.mean)} (${inWords(found.most.name)} ${centimetres(found.most.metres)})` : "unknown";
 }
@@ -57,11 +57,11 @@ export class Hypotheses {
   }
 
   #card(hypothesis, best, keypoints) {
-    const { rank, confidence, entry, camera, reprojection_error_px: error } = hypothesis;
+    const { rank, confidence, camera } = hypothesis;
     const pictures = element("div", { className: "pictures" },
       this.#entry(hypothesis),
-      this.#view(hypothesis, best, keypoints, 0, "from the camera"),
-      this.#view(hypothesis, best, keypoints, QUARTER_TURN, "from the side"));
+      this.#view(hypothesis, best, keypoints, 0, "camera view"),
+      this.#view(hypothesis, best, keypoints, QUARTER_TURN, "side view"));
     const line = (term, text) => element("p", {},
       element("span", { textContent: term }), element("span", { textContent: text }));
     return element("div", { className: "card" },
@@ -69,15 +69,13 @@ export class Hypotheses {
       element("meter", { min: 0, max: 1, value: confidence, title: "how likely the joints are right" }),
       pictures,
       line("camera sees", `the ${sideSeen(camera.azimuth_deg)}`),
-      line("differs by", apart(hypothesis, best, keypoints)),
-      line("outline error", `${error.toFixed(1)} px`),
-      line("entry", entry));
+      line("differs by", apart(hypothesis, best, keypoints)));
   }
 
   #view(hypothesis, best, keypoints, turn, caption) {
     const canvas = element("canvas", { ...SIZE });
     canvas.setAttribute("role", "img");
-    canvas.setAttribute("aria-label", `Skeleton ${hypothesis.rank} ${caption}`);
+    canvas.setAttribute("aria-label", `Skeleton ${hypothesis.rank}, ${caption}`);
     this.#views.push({ canvas, hypothesis, best, keypoints, turn });
     return element("figure", {}, canvas, element("figcaption", { textContent: caption }));
   }

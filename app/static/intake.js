@@ -29,7 +29,10 @@ export async function sorted(files, ask) {
   const video = files.find(isVideo);
   if (video) return { video, note: leftOut(files, [video]) };
   const pictures = files.filter(isPicture);
-  if (!pictures.length) throw new Error("That is neither a picture nor a video.");
+  if (!pictures.length) {
+    throw new Error(`“${files[0].name}” is neither a picture (PNG, JPEG, WebP, BMP, TIFF, GIF) `
+      + "nor a video (MP4, MOV, MKV, AVI, WebM and others).");
+  }
 
   let mask = pictures.find(({ name }) => NAMED_MASK.test(name));
   for (const picture of mask ? [] : pictures) {

@@ -20,6 +20,13 @@ function inPlainWords({ message, status, retryAfterS }) {
   return sentence(message) + when;
 }
 
+/** Say what is being waited for, dimming an earlier answer; an empty text ends the wait. */
+export function working(text) {
+  $("busy").textContent = text;
+  $("busy").hidden = !text;
+  $("result").classList.toggle("busy", Boolean(text));
+}
+
 /** Begin an error's message with the name of the file that it is about. */
 export function named(error, { name }, field = "video") {
   const prefix = `${field}: `;

@@ -1,12 +1,12 @@
 // The debug page: shows the service's answer to a photograph or a video.
 
-import { $, bringIntoView } from "./dom.js";
+import { $, sentence } from "./dom.js";
 import { onFiles, sorted, whichIsEmpty } from "./intake.js";
 import { apiKey, askForKey, keyIsAccepted, onKey } from "./key.js";
-import { about, complain, onDismiss, tell } from "./notices.js";
+import { about, complain, onDismiss, tell, working } from "./notices.js";
 import { prepare } from "./photograph.js";
 import { PhotographView } from "./photograph_view.js";
-import { curlCommand, describeIndex, estimatePose } from "./service.js";
+import { curlCommand, describeIndex, download, estimatePose } from "./service.js";
 import { VideoView } from "./video_view.js";
 
 const photograph = new PhotographView(apiKey);
@@ -45,28 +45,31 @@ function limitCount() {
     ? `The number of hypotheses is ${min} to ${max}: ${count} instead of ${value}.` : "";
 }
 
-async function showIndex() {
-  try {
-    const index = await describeIndex(apiKey());
-    $("index").textContent = `${index.name}: ${index.entries.toLocaleString("en")} silhouettes, `
-      + `${index.actions.length} kinds of action`;
-    $("attribution").textContent = index.attribution;
-    keyIsAccepted();
-    return true;
-  } catch (error) {
-    $("index").textContent = error.status === 401 ? "This service asks for a key." : error.message;
-    if (error.status === 401) askForKey();
-    return error.status !== 503 && error.status !== 0;
+/** Wait until the service answers; false if it wants another key. */
+async function isReady() {
+  for (;;) {
+    try {
+      const index = await describeIndex(apiKey());
+      $("index").textContent = `${index.name}: ${index.entries.toLocaleString("en")} silhouettes, `
+        + `${index.actions.length} kinds of action.`;
+      $("attribution").textContent = index.attribution;
+      keyIsAccepted();
+      working("");
+      return true;
+    } catch (error) {
+      working(error.status === 401 ? "" : sentence(error.message));
+      if (error.status === 401) askForKey();
+      if (error.status !== 503 && error.status !== 0) return false;
+    }
+    await new Promise((wake) => setTimeout(wake, 1000));
   }
 }
 
-async function untilReady() {
-  while (!await showIndex()) await new Promise((wake) => setTimeout(wake, 1000));
-}
-
-function working(whether) {
-  $("result").classList.toggle("busy", whether);
-  $("busy").hidden = !whether;
+/** Begin with the example, or with what was refused for want of a key. */
+async function begin() {
+  if (!await isReady() || video.again()) return;
+  if (latest) ask(latest);
+  else tryExample();
 }
 
 /** Send a photograph, perhaps with a mask, and show the answer. */
@@ -82,13 +85,13 @@ async function ask(upload) {
   const action = otherwise && { label: otherwise.label, run: () => ask(otherwise.upload) };
   complain(null);
   tell(notes, action);
-  working(true);
+  working("Looking for people …");
   try {
+    if (upload.address) upload.frame = await download(upload.address);
     upload.prepared ??= prepare(upload);
     const prepared = await upload.prepared;
     const answered = await estimatePose(prepared.files, { ...chosen, signal });
     if (signal.aborted) return;
-    const isNew = upload !== photograph.upload;
     video.hide();
     $("count-label").hidden = false;
     photograph.show(upload, prepared, answered, curlCommand(upload, chosen));
@@ -97,11 +100,10 @@ async function ask(upload) {
       notes.push("Nobody was found in this photograph. A second file, a mask, can mark the people.");
     }
     tell(notes, action);
-    working(false);
-    if (isNew && answered.persons.length) bringIntoView($("result"));
+    working("");
   } catch (error) {
     if (signal.aborted) return;
-    working(false);
+    working("");
     report(about(error, upload), () => ask(upload));
     photograph.setStale(true);
     if (photograph.upload && !$("result").hidden) {
@@ -114,10 +116,8 @@ async function ask(upload) {
 function showVideo() {
   asking?.abort();
   latest = null;
-  working(false);
   photograph.hide();
   $("count-label").hidden = true;
-  document.body.classList.add("has-result");
 }
 
 /** Take files that were dropped, pasted or chosen. */
@@ -128,7 +128,6 @@ async function take(files) {
     const upload = await sorted(files, whichIsEmpty);
     if (upload?.video) {
       asking?.abort();
-      working(false);
       video.play(upload.video, upload.note);
     } else if (upload) {
       ask(upload);
@@ -138,20 +137,8 @@ async function take(files) {
   }
 }
 
-async function tryExample() {
-  complain(null);
-  try {
-    const address = "static/example.jpg";
-    const response = await fetch(address);
-    if (!response.ok) throw new Error("The example could not be loaded.");
-    ask({
-      frame: new File([await response.blob()], "example.jpg", { type: "image/jpeg" }),
-      address,
-      note: "An example: a street in a public data set (PETS 2009), as OpenCV ships it.",
-    });
-  } catch (error) {
-    complain(error);
-  }
+function tryExample() {
+  ask({ address: "static/example.jpg", note: "An example from a public data set, PETS 2009." });
 }
 
 onFiles(take);
@@ -161,9 +148,7 @@ onDismiss(() => {
 });
 onKey(() => {
   complain(null);
-  untilReady();
-  if (latest) ask(latest);
-  else video.again();
+  begin();
 });
 $("example").addEventListener("click", tryExample);
 $("webcam").addEventListener("click", () => video.toggleWebcam());
@@ -173,4 +158,4 @@ for (const id of ["count", "keypoints", "evidence"]) {
     else tell([limitCount()]);
   });
 }
-untilReady();
+begin();

@@ -43,10 +43,7 @@ export class PhotographView {
       this.#hypotheses.draw(0);
     });
     $("copy-curl").addEventListener("click", async () => {
-      $("copied").textContent = await copy($("curl").textContent, "Command", $("curl"));
-    });
-    $("copy-json").addEventListener("click", async () => {
-      $("copied").textContent = await copy(JSON.stringify(this.#answer, null, 2), "Answer", $("curl"));
+      $("copied").textContent = await copy($("curl"));
     });
     $("download").addEventListener("click", () => {
       const { frame, mask } = this.#upload;
@@ -73,7 +70,6 @@ export class PhotographView {
     this.#hypothesis = 0;
     $("curl").textContent = command;
     $("result").hidden = false;
-    document.body.classList.add("has-result");
     this.setStale(false);
     this.#showPersons();
   }
@@ -116,14 +112,14 @@ export class PhotographView {
     const { persons, keypoints, timings_ms: { total, ...stages } } = this.#answer;
     const found = persons[this.#person];
     const hypothesis = found?.hypotheses[this.#hypothesis];
-    $("pose").hidden = $("terms").hidden = !hypothesis;
+    $("pose").hidden = !hypothesis;
     if (hypothesis) {
       this.#solid.show(hypothesis.joints_3d, keypoints);
       showTerms($("facts"), measured(found));
       showTerms($("supposed"), supposed(hypothesis));
     }
     $("timings").textContent = `${total.toFixed(0)} ms: ${Object.entries(stages)
-      .map(([stage, ms]) => `${stage} ${ms.toFixed(1)}`).join(", ")}`
+      .map(([stage, ms]) => `${stage} ${ms.toFixed(0)} ms`).join(", ")}`
       + (this.#sent ? `; sent at ${this.#sent.width} × ${this.#sent.height}` : "");
     this.#draw();
   }

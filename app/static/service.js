@@ -25,6 +25,12 @@ async function answer(path, options = {}, key = "") {
   throw new Problem(problem, Number(response.headers.get("Retry-After")) || 0);
 }
 
+/** A file of the page's own. */
+export async function download(address) {
+  const blob = await (await answer(address)).blob();
+  return new File([blob], address.split("/").at(-1), { type: blob.type });
+}
+
 function form(files) {
   const data = new FormData();
   for (const field of ["frame", "mask", "background"]) {

@@ -26,7 +26,8 @@ export function tint({ image: { width, height }, persons }) {
   const pixels = new Uint32Array(image.data.buffer);
   persons.forEach(({ silhouette }, number) => {
     const [red, green, blue] = [1, 3, 5].map((i) => parseInt(personColour(number).slice(i, i + 2), 16));
-    const colour = (115 << 24) | (blue << 16) | (green << 8) | red;
+    // 30 %: the person beneath stays visible.
+    const colour = (77 << 24) | (blue << 16) | (green << 8) | red;
     let start = 0;
     runLengths(silhouette?.rle?.counts ?? "").forEach((length, run) => {
       const end = start + length;

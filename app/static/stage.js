@@ -47,31 +47,44 @@ function drawLayers(context, { photo, answer, silhouettes, person, hypothesis, s
     if (shown.observed) drawObserved(context, found.observed_keypoints, 0.8 * bone);
   });
   if (!shown.numbers) return;
-  const labels = [];
-  answer.persons.forEach(({ box }, number) => {
-    drawLabel(context, box, String(number + 1), personColour(number), line, labels);
-  });
+  drawLabels(context, answer.image, line, answer.persons.map(({ box }, number) =>
+    ({ text: String(number + 1), at: [box.x, box.y], colour: personColour(number) })));
 }
 
 /**
- * Draw a person's label above the box, or inside it where the frame ends or another label is.
- * @param labels The labels drawn before; this one is added to them.
+ * The place nearest to a label's own that is inside the picture and free of others.
+ * @param label Its edges, `{x, y, width, height}`.
+ * @param others The labels placed before.
  */
-function drawLabel(context, { x, y }, text, colour, line, labels) {
+export function freePlace({ x, y, width, height }, others, picture) {
+  const meets = (left, top) => others.some((other) => left < other.x + other.width && other.x < left + width
+    && top < other.y + other.height && other.y < top + height);
+  const inside = (at, size, room) => Math.max(0, Math.min(room - size, at));
+  const start = { x: inside(x, width, picture.width), y: inside(y, height, picture.height), width, height };
+  for (let ring = 0; ring * height < picture.height; ring += 1) {
+    for (const [across, down] of [[0, 1], [0, -1], [1, 0], [-1, 0], [1, 1], [-1, 1], [1, -1], [-1, -1]]) {
+      const left = inside(start.x + across * ring * width, width, picture.width);
+      const top = inside(start.y + down * ring * height, height, picture.height);
+      if (!meets(left, top)) return { ...start, x: left, y: top };
+    }
+  }
+  return start;
+}
+
+/** Draw labels `{text, at, colour}` above their points, none on top of another. */
+function drawLabels(context, picture, line, labels) {
   context.font = `700 ${line * 9}px system-ui, sans-serif`;
-  context.lineJoin = "round";
-  context.lineWidth = line * 2.5;
-  context.strokeStyle = "rgb(0 0 0 / 0.8)";
-  context.fillStyle = colour;
-  const width = context.measureText(text).width;
-  const covered = (bottom) => labels.some((other) => Math.abs(bottom - other.bottom) < line * 10
-    && x < other.x + other.width && other.x < x + width);
-  let bottom = Math.max(y - line * 2, line * 8);
-  while (covered(bottom)) bottom += line * 10;
-  labels.push({ x, width, bottom });
-  const label = [text, x + 0.5, bottom];
-  context.strokeText(...label);
-  context.fillText(...label);
+  context.textBaseline = "middle";
+  const drawn = [];
+  for (const { text, at: [x, y], colour } of labels) {
+    const [width, height] = [context.measureText(text).width + 5 * line, 10 * line];
+    const place = freePlace({ x, y: y - height, width, height }, drawn, picture);
+    drawn.push(place);
+    context.fillStyle = colour;
+    context.fillRect(place.x, place.y, width, height);
+    context.fillStyle = "#10181b";
+    context.fillText(text, place.x + 2.5 * line, place.y + 0.55 * height);
+  }
 }
 
 function drawBox(context, { x, y, width, height }, colour, line) {
@@ -138,16 +151,18 @@ export function drawTracks(canvas, { photo, answer, shown, chosen, zones = [] })
     if (shown.smoothed && pose) draw(pose.joints_2d, undefined, isUnsure(pose, observed));
   }
   context.globalAlpha = 1;
-  const labels = [];
-  for (const { box, track_id: id } of answer.persons) {
-    drawLabel(context, box, String(id), personColour(id - 1), line, labels);
-  }
+  drawLabels(context, answer.image, line, [
+    ...answer.persons.map(({ box, track_id: id }) =>
+      ({ text: String(id), at: [box.x, box.y], colour: personColour(id - 1) })),
+    ...zones.filter(({ name }) => name).map(({ name, kind, polygon }) =>
+      ({ text: name, at: polygon[0], colour: ZONES[kind] })),
+  ]);
 }
 
 const ZONES = { rest: "#7cc4ff", watch: "#ffd34d" };
 
-/** Draw a zone with its name; an unfinished one is open, with its corners marked. */
-export function drawZone(context, { name, kind, polygon, open = false }, line) {
+/** Draw a zone; an unfinished one is open, with its corners marked. */
+function drawZone(context, { kind, polygon, open = false }, line) {
   if (!polygon.length) return;
   context.beginPath();
   for (const [x, y] of polygon) context.lineTo(x + 0.5, y + 0.5);
@@ -162,22 +177,11 @@ export function drawZone(context, { name, kind, polygon, open = false }, line) {
   context.lineWidth = 1.2 * line;
   context.stroke();
   context.fillStyle = colour;
-  if (open) {
-    for (const [x, y] of polygon) {
-      context.beginPath();
-      context.arc(x + 0.5, y + 0.5, 3 * line, 0, 2 * Math.PI);
-      context.fill();
-    }
-    return;
+  for (const [x, y] of open ? polygon : []) {
+    context.beginPath();
+    context.arc(x + 0.5, y + 0.5, 3 * line, 0, 2 * Math.PI);
+    context.fill();
   }
-  context.font = `600 ${8 * line}px system-ui, sans-serif`;
-  context.lineWidth = 2 * line;
-  context.strokeStyle = "rgb(0 0 0 / 0.8)";
-  const middle = [0, 1].map((axis) => polygon.reduce((sum, corner) => sum + corner[axis], 0) / polygon.length);
-  context.textAlign = "center";
-  context.strokeText(name, ...middle);
-  context.fillText(name, ...middle);
-  context.textAlign = "start";
 }
 
 /** Draw the chosen person, filling the canvas: people in a street are small. */

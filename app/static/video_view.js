@@ -1,9 +1,9 @@
 // The view of a video or a webcam: the picture with its tracks, the people, events, the timeline and
 // zones. One can look back while it plays and after its end.
 
-import { $, bringIntoView, renamed, save, sentence } from "./dom.js";
+import { $, renamed, save, sentence } from "./dom.js";
 import { clock, showEvent } from "./events.js";
-import { complain, named, tell } from "./notices.js";
+import { complain, named, tell, working } from "./notices.js";
 import { PeopleTable } from "./people_table.js";
 import { Recording } from "./recording.js";
 import { Sequence } from "./sequence.js";
@@ -93,12 +93,12 @@ export class VideoView {
     }
   }
 
-  /** Try again with another API key if the service required one. */
+  /** Try again with another API key if the service required one; false if there is nothing to try. */
   again() {
     const refused = this.#refused;
-    if (!refused) return;
-    if (refused.file) this.play(refused.file, refused.note);
-    else this.toggleWebcam();
+    if (refused?.file) this.play(refused.file, refused.note);
+    else if (refused) this.toggleWebcam();
+    return Boolean(refused);
   }
 
   /** Stop playing and keep the view. */
@@ -110,7 +110,7 @@ export class VideoView {
     this.#video.srcObject = null;
     this.#video.removeAttribute("src");
     this.#video.load();
-    $("opening").hidden = true;
+    working("");
     this.#showButtons();
   }
 
@@ -123,7 +123,7 @@ export class VideoView {
     this.#session = session;
     this.#notes = [source.note];
     let begun = false;
-    $("opening").hidden = false;
+    working("Opening the video …");
     complain(null);
     this.#tell();
     try {
@@ -135,7 +135,6 @@ export class VideoView {
         if (!answer) continue;
         if (!begun) await this.#begin(session, source);
         this.#receive(answer, photo, jpeg);
-        if (!begun) bringIntoView($("session"));
         begun = true;
       }
       if (session !== this.#session) return;
@@ -161,7 +160,7 @@ export class VideoView {
     if (source.file !== this.#source?.file) this.#zones.clear();
     this.#source = source;
     $("session").hidden = false;
-    $("opening").hidden = true;
+    working("");
     $("zones-panel").hidden = !session.takesZones;
     $("live").setAttribute("aria-label", `${source.file?.name ?? "Webcam"}, with the people found in it`);
     this.#reset();

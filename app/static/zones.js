@@ -32,7 +32,7 @@ export class ZoneEditor {
       this.#host.redraw();
     });
     $("copy-zones").addEventListener("click", async () => {
-      $("zones-copied").textContent = await copy($("zones-command").textContent, "Command", $("zones-command"));
+      $("zones-copied").textContent = await copy($("zones-command"));
     });
     addEventListener("keydown", (event) => {
       if (this.#draft && event.key === "Escape") this.#cancel();

@@ -23,6 +23,15 @@ FLAGS = [
 ]
 
 
+# The example that the page begins with would take a second of each test. A route of Playwright's
+# would hold up what the page sends while it is left.
+WITHOUT_EXAMPLE = """
+const sent = fetch;
+const never = new Promise(() => {});
+fetch = (path, ...rest) => path === 'static/example.jpg' ? never : sent(path, ...rest);
+"""
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     playwright = pytest.importorskip("playwright.sync_api", reason="needs Playwright")
@@ -42,6 +51,7 @@ def page(browser: Any, server: Server, request: pytest.FixtureRequest) -> Iterat
     troubles: list[str] = []
     page.on("pageerror", lambda error: troubles.append(str(error)))
     page.on("console", lambda m: troubles.append(m.text) if is_trouble(m) else None)
+    page.add_init_script(WITHOUT_EXAMPLE)
     page.goto(server.url)
     page.get_by_text("silhouettes,").wait_for()
     yield page

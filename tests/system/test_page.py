@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def test_a_photograph_shows_its_pose(page: Any, pictures: list[str], photo: Phot
     page.locator("#hypotheses .card").nth(6).wait_for()
     assert not overflows(page)
     assert page.locator("#hypotheses .card").count() == 7
-    assert str(photo.entry) in page.locator("#hypotheses .card").first.inner_text()
+    assert str(photo.entry) in page.locator("#supposed").inner_text()
     assert page.locator("#stage").evaluate("c => [c.width, c.height]") == [320, 240]
     command = page.locator("#curl").inner_text()
     assert "-F 'frame=@street.png' -F 'mask=@street_mask.png'" in command
@@ -129,6 +130,7 @@ def test_a_second_photograph_is_mentioned(
 
 
 def test_99_hypotheses_become_50(page: Any, pictures: list[str]) -> None:
+    page.get_by_text("Settings").click()
     page.locator("#count").fill("99")
     with page.expect_response("**/pose?*") as answer:
         page.set_input_files("#file", pictures)
@@ -182,6 +184,7 @@ def test_observed_keypoints_are_shown_if_they_were_used(page: Any) -> None:
     shown = stage.evaluate("c => c.toDataURL()")
     page.locator("#show-observed").set_checked(False)
     assert stage.evaluate("c => c.toDataURL()") != shown
+    page.get_by_text("Settings").click()
     with page.expect_response("**/pose?*") as answer:
         page.locator("#evidence").select_option("silhouette")
     assert "evidence=silhouette" in answer.value.url
@@ -189,17 +192,31 @@ def test_observed_keypoints_are_shown_if_they_were_used(page: Any) -> None:
     assert "&evidence=silhouette'" in page.locator("#curl").inner_text()
 
 
-def test_the_legend_explains_colours_and_a_phone_scrolls_to_the_result(page: Any) -> None:
+def test_the_picture_comes_first_and_a_phone_page_is_short(page: Any) -> None:
     page.set_input_files("#file", str(WALKERS))
-    page.locator("#hypotheses .card").first.wait_for()
-    legend = page.locator("#photo .legend").inner_text()
-    for text in ("s left", "right", "seen in the photograph", "each person"):
-        assert text in legend
-    if page.viewport_size["width"] < 600:
-        # Scrolled there smoothly: it takes a moment.
-        page.wait_for_function(
-            "() => Math.abs(document.getElementById('result').getBoundingClientRect().top) < 20"
-        )
+    page.locator("#hypotheses .card").nth(6).wait_for()
+    stage = page.locator("#stage").bounding_box()
+    assert stage["y"] + stage["height"] < page.viewport_size["height"]
+    assert page.locator("#count").is_hidden()
+    assert page.evaluate("document.documentElement.scrollHeight") < 2100
+    assert not overflows(page)
+
+
+def test_labels_stay_apart_and_inside_the_picture(page: Any) -> None:
+    places = page.evaluate(
+        """async () => {
+            const {freePlace} = await import('/static/stage.js');
+            const drawn = [];
+            for (let n = 0; n < 40; n += 1) {
+                const wanted = {x: 20 * (n % 8) - 10, y: 15 * (n % 5) - 20, width: 12, height: 10};
+                drawn.push(freePlace(wanted, drawn, {width: 200, height: 150}));
+            }
+            return drawn.map(({x, y}) => [x, y]);
+        }"""
+    )
+    for (x, y), (left, top) in combinations(places, 2):
+        assert abs(x - left) >= 12 or abs(y - top) >= 10
+    assert all(0 <= x <= 188 and 0 <= y <= 140 for x, y in places)
 
 
 def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
@@ -229,7 +246,7 @@ def test_hypotheses_are_seen_from_the_camera_and_from_the_side(
     views = page.locator("#hypotheses .card canvas[aria-label^=Skeleton]")
     drawn = views.evaluate_all("all => all.map(c => c.toDataURL())")
     assert len(set(drawn)) == 14
-    assert "from the camera" in page.locator("#hypotheses").inner_text()
+    assert "side view" in page.locator("#hypotheses").inner_text()
     assert re.search(r"differs by\s+\d+ cm \(.+ \d+ cm\)", page.locator("#hypotheses").inner_text())
     # They turn while they are on the screen.
     views.first.scroll_into_view_if_needed()

@@ -21,14 +21,16 @@ def key_server(index_path: Path) -> Iterator[Server]:
         yield running
 
 
-def test_an_example_can_be_tried_without_a_file(page: Any) -> None:
-    page.get_by_role("button", name="Try an example").click()
+def test_the_page_begins_with_an_example(browser: Any, server: Server) -> None:
+    page = browser.new_page()
+    page.goto(server.url)
     page.locator("#hypotheses .card").first.wait_for()
     assert "PETS 2009" in page.locator("#note").inner_text()
     assert page.locator("#persons input").count() >= 3
     download, request = page.locator("#curl").inner_text().splitlines()
     assert download.startswith("curl -O 'http") and download.endswith("/static/example.jpg'")
     assert request.startswith("curl -F 'frame=@example.jpg' 'http")
+    page.close()
 
 
 def test_the_example_is_the_one_whose_terms_are_known() -> None:
@@ -62,6 +64,14 @@ def test_what_may_pass_can_be_tried_again(page: Any, pictures: list[str]) -> Non
     page.get_by_role("button", name="Try again").click()
     page.locator("#hypotheses .card").first.wait_for()
     assert page.locator("#message").is_hidden()
+
+
+def test_what_is_no_picture_is_named_with_the_formats(page: Any, tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("Dear")
+    page.set_input_files("#file", str(tmp_path / "letter.txt"))
+    message = page.locator("#message-text").inner_text()
+    assert message.startswith("“letter.txt” is neither a picture (PNG, JPEG,")
+    assert "MP4" in message
 
 
 @pytest.mark.parametrize("name", ["street_mask.png", "people.png"])
@@ -135,6 +145,8 @@ def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server, photo: 
         page.goto(key_server.url)
         page.get_by_text("This service is protected by a key.").wait_for()
         assert not overflows(page)
+        page.get_by_role("button", name="Try an example").click()
+        page.get_by_text("This service is protected by a key.").wait_for()
         assert page.locator("#key-wrong").is_hidden()
         page.locator("#key").fill("wrong")
         page.get_by_role("button", name="Use this key").click()
@@ -143,7 +155,6 @@ def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server, photo: 
         page.locator("#key").press("Enter")
         page.get_by_text("silhouettes,").wait_for()
         assert page.locator("#key-form").is_hidden()
-        page.get_by_role("button", name="Try an example").click()
         page.locator("#hypotheses .card").first.wait_for()
         assert 'curl -H "X-API-Key: $KEY" -F' in page.locator("#curl").inner_text()
     finally:
