@@ -3,7 +3,7 @@
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
 to. Now and then, and if a track's window no longer shows anybody, the whole frame is searched, to
 find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
-have drifted off.
+have drifted off. While nothing changes around tracked people, searches are rarer.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,11 +20,15 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.track import Sighting, Track
 from app.vision.blazepose import PoseReading
-from app.vision.geometry import PersonWindow
+from app.vision.detector import smallest_person_px
+from app.vision.geometry import Box, PersonWindow, resize
 from app.vision.silhouettes import ends_at_border
 
 SEARCH_EVERY_S = 0.4
-"""Time between two searches of the whole frame."""
+"""Time between two searches of the whole frame if it changes around the tracked people."""
+
+STILL_SEARCH_EVERY_S = 3.0
+"""The same while it does not."""
 
 # A track's window is read for this long after a sighting.
 _WINDOW_LASTS_S = 0.5
@@ -46,6 +51,7 @@ class TrackedPeopleDetector:
     def __init__(self, finder: PeopleFinder) -> None:
         self._finder = finder
         self._searched_at = self._read_at = -math.inf
+        self._scene = _Scene()
 
     def find(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
@@ -84,14 +90,19 @@ class TrackedPeopleDetector:
 
         The search uses a lower threshold near people who have been lost, until their tracks end. A
         lost track that was not confirmed, or whose person has left the frame, does not cause a
-        search before the next one is due.
+        search before the next one is due. Without tracks, every frame is searched unless the scene
+        is still.
         """
         recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
         expected: Expected = {one: one.next_window for one in recent if one.next_window}
         people = [track for track in tracks if track.track_id is not None]
         lost = [track for track in people if track.seen_at < self._read_at]
-        due = timestamp - self._searched_at >= SEARCH_EVERY_S
-        if expected and len(expected) == len(recent) and not due:
+        smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
+        still = self._scene.is_still(frame, smallest, timestamp, tracks)
+        still &= len(expected) == len(people) == len(tracks) and not lost
+        interval = STILL_SEARCH_EVERY_S if still else SEARCH_EVERY_S
+        due = timestamp - self._searched_at >= interval
+        if (expected or still) and len(expected) == len(recent) and not due:
             expected = self._shown(frame, timestamp, expected, job)
             gone = [track for track in people if track in recent and track not in expected]
             if all(ends_at_border(track.box_filter.seen, frame.shape) for track in gone):
@@ -99,6 +110,7 @@ class TrackedPeopleDetector:
             lost += [track for track in gone if track not in lost]
         found = self._finder.search(frame, job, [track.box_filter.seen for track in lost])
         self._searched_at = timestamp
+        self._scene.restart()
         unseen = dict(expected)
         targets: list[tuple[Target, Track | None]] = []
         for one in found:
@@ -124,3 +136,80 @@ def _followed(expected: Expected, timestamp: float) -> list[tuple[Target, Track 
         (Target(track.box_filter.predict(timestamp), track.score, None, window), track)
         for track, window in expected.items()
     ]
+
+
+# Height of the smallest wanted person where frames are compared. Cells are means of many pixels,
+# so a sensor's noise of 4 levels becomes less than one.
+_PERSON_CELLS = 8
+# A change is a connected area, wider than it was by a cell on every side, that is this high: more
+# than half of the smallest person, and more than the digits of a camera's clock.
+_MIN_CHANGE_CELLS = 7
+# Difference of means over 3x3 cells, grey levels.
+_MIN_DIFFERENCE = 5
+# A scene is still after this time: a person may be missed in the frame in which they move.
+_STILL_AFTER_S = 2.0
+# Margin around tracked people, as a share of the larger side of their boxes.
+_TRACK_MARGIN = 0.1
+
+
+class _Scene:
+    """What a fixed camera shows around tracked people, compared with the last search's frame.
+
+    Changes since then add up, so also slow ones are noticed.
+    """
+
+    def __init__(self) -> None:
+        self._now: NDArray[np.uint8] | None = None
+        self._searched: NDArray[np.uint8] | None = None
+        self._boxes: dict[Track, Box] = {}  # Where tracked people were at the last search.
+        self._changed_at = -math.inf
+
+    def is_still(
+        self,
+        frame: NDArray[np.uint8],
+        smallest_px: float,
+        timestamp: float,
+        tracks: Sequence[Track],
+    ) -> bool:
+        """Whether nothing has changed for a while; the first frame counts as a change.
+
+        Parameters
+        ----------
+        frame : (H, W, 3) uint8 array
+            BGR.
+        smallest_px : float
+            Height of the smallest person wanted, in pixels of the frame.
+        timestamp : float
+            Seconds.
+        tracks : sequence of Track
+            Of people who may move.
+        """
+        scale = min(1.0, _PERSON_CELLS / smallest_px)
+        height, width = (max(1, round(side * scale)) for side in frame.shape[:2])
+        now = cv2.cvtColor(resize(frame, width, height), cv2.COLOR_BGR2GRAY).astype(np.uint8)
+        self._now = now
+        places = [track.box_filter.predict(timestamp) for track in tracks]
+        places += [self._boxes.setdefault(track, track.box_filter.seen) for track in tracks]
+        if self._searched is None or self._differs(self._searched, now, scale, places):
+            self._changed_at = timestamp
+        return timestamp - self._changed_at >= _STILL_AFTER_S
+
+    def restart(self) -> None:
+        """Compare with the present frame from now on, since it is searched."""
+        self._searched, self._boxes = self._now, {}
+
+    @staticmethod
+    def _differs(
+        before: NDArray[np.uint8], now: NDArray[np.uint8], scale: float, places: Sequence[Box]
+    ) -> bool:
+        """Whether two small grey pictures ``(h, w)`` differ outside these boxes of the frame."""
+        differences = cv2.subtract(now, before, dtype=cv2.CV_16S)
+        sums = cv2.boxFilter(differences, cv2.CV_32S, (3, 3), normalize=False)
+        changed = (np.abs(sums) >= 9 * _MIN_DIFFERENCE).astype(np.uint8)
+        for box in (place.scaled(scale) for place in places):
+            left, top, right, bottom = box.pixels()
+            margin = 1 + round(_TRACK_MARGIN * max(box.width, box.height))
+            rows = slice(max(0, top - margin), max(0, bottom + margin))
+            changed[rows, max(0, left - margin) : max(0, right + margin)] = 0
+        _, _, areas, _ = cv2.connectedComponentsWithStats(changed)
+        return bool((areas[1:, cv2.CC_STAT_HEIGHT] >= _MIN_CHANGE_CELLS).any())

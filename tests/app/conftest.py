@@ -19,6 +19,7 @@ def detector(drawn: Estimator) -> ColourDetector:
     detector = drawn.models.detector
     assert isinstance(detector, ColourDetector)
     detector.searches = detector.room = 0
+    detector.blind = False
     return detector
 
 

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 
 from app.camera import CameraSession
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.following import SEARCH_EVERY_S, TrackedPeopleDetector
+from app.tracking.following import (
+    SEARCH_EVERY_S,
+    STILL_SEARCH_EVERY_S,
+    TrackedPeopleDetector,
+)
 from app.tracking.track import Sighting, Track
 from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
+from tests.golden import pictures
 
 
 def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
@@ -92,3 +99,112 @@ def test_unconfirmed_tracks_and_people_at_the_border_cause_no_search(
 ) -> None:
     assert followed(drawn, 260, place, confirmed=confirmed) == []
     assert detector.searches == 1
+
+
+def still(session: CameraSession, *people: tuple[int, int], light: float = 150) -> None:
+    """Send three seconds of people who do not move, five frames a second."""
+    for step in range(15):
+        result = send(session, step / 5, *people, light=light)
+        assert ids(result) == [*range(1, 1 + len(people))]
+
+
+@pytest.mark.parametrize("people", [(), ((0, 10), (1, 200))])
+def test_a_still_scene_is_searched_rarely(
+    session: CameraSession, detector: ColourDetector, people: tuple[tuple[int, int], ...]
+) -> None:
+    still(session, *people)
+    detector.searches = 0
+    for step in range(15, 75):
+        send(session, step / 5, *people)
+    assert detector.searches == 12 / STILL_SEARCH_EVERY_S
+
+
+@pytest.mark.parametrize("known", [(), ((1, 200),)])
+def test_a_person_who_enters_a_still_scene_is_found_in_that_frame(
+    session: CameraSession, known: tuple[tuple[int, int], ...]
+) -> None:
+    still(session, *known)
+    assert len(ids(send(session, 3.0, *known, (0, 20)))) == len(known) + 1
+
+
+def test_a_person_beside_one_who_walks_is_found(session: CameraSession) -> None:
+    """A walking person is no change, but neither do they hide one."""
+    for step in range(15):
+        send(session, step / 5, (0, 10 + 4 * step))
+    assert ids(send(session, 3.0, (0, 70), (1, 130))) == [1, 2]
+
+
+def test_a_person_who_was_there_before_they_were_recognised_is_found(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    detector.blind = True
+    for step in range(15):
+        assert not send(session, step / 5, (0, 100)).persons
+    detector.blind = False
+    found = [ids(send(session, 3 + step / 5, (0, 100))) for step in range(16)]
+    assert found[0] == [] and found[-1] == [1]
+
+
+def test_a_person_who_moved_and_was_missed_has_more_than_one_chance(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    still(session)
+    detector.blind = True
+    assert not send(session, 3.0, (0, 100)).persons
+    detector.blind = False
+    assert ids(send(session, 3.2, (0, 100))) == [1]
+
+
+def test_slow_changes_of_light_add_up_and_infrared_causes_a_search_at_once(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    still(session)
+    detector.searches = 0
+    for step in range(10):
+        send(session, 3 + step / 5, light=150 - step)
+    assert detector.searches >= 3
+    for step in range(25, 40):
+        send(session, step / 5, light=141)
+    detector.searches = 0
+    send(session, 8.0, light=90)
+    assert detector.searches == 1
+
+
+def test_a_person_lost_in_a_still_scene_is_searched_for_at_once(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    still(session, (0, 100), (1, 200))
+    detector.searches = 0
+    for time in (3.0, 3.2):
+        assert ids(send(session, time, (1, 200))) == [2]
+    assert detector.searches == 2
+
+
+def test_unconfirmed_tracks_are_searched_for_in_a_still_scene(
+    drawn: Estimator, detector: ColourDetector
+) -> None:
+    people = TrackedPeopleDetector(drawn.finder)
+    frame = drawn.decode(Upload(draw((0, 100))), Job())
+    tracks = [Track(one, 0.0) for one in people.find(frame, 0.0, [], Job())]
+    for step in range(1, 31):
+        if step == 15:
+            detector.searches = 0
+        for track, sighting in zip(
+            tracks, people.find(frame, step / 5, tracks, Job()), strict=True
+        ):
+            track.see(sighting, step / 5)
+    assert detector.searches >= 6
+
+
+def test_a_walker_enters_the_still_yard(estimator: Estimator) -> None:
+    session = CameraSession(estimator)
+    rng = np.random.default_rng(0)
+
+    def seen(frame: pictures.Picture, time: float) -> list[int]:
+        noisy = np.clip(frame + rng.normal(0, 2, frame.shape), 0, 255).astype(np.uint8)
+        jpeg = cv2.imencode(".jpg", noisy)[1].tobytes()
+        return ids(session.process(Upload(jpeg), time, 1, Job()))
+
+    for step in range(15):
+        assert not seen(pictures.decode(pictures.EMPTY_YARD), step / 5)
+    assert seen(pictures.walk(1)[0][0], 3.0) == [1]
