@@ -70,7 +70,13 @@ class Estimator:
         match(self.index, self.index.silhouette(0), 1)
 
     def estimate(
-        self, upload: Upload, n: int, job: Job, evidence: Evidence = "photograph"
+        self,
+        upload: Upload,
+        n: int,
+        job: Job,
+        evidence: Evidence = "photograph",
+        *,
+        shown: bool = False,
     ) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person.
 
@@ -81,13 +87,16 @@ class Estimator:
         evidence : str
             ``photograph``: silhouettes and the landmarks in the photograph; ``silhouette``:
             silhouettes alone, as in the paper.
+        shown : bool
+            Whether the frame is needed after that, to draw on it.
 
         Raises
         ------
         UploadError
             If the images or boxes cannot be used.
         """
-        decoded = self.decode(upload, job)
+        unseen = upload.mask is not None and evidence == "silhouette" and not shown
+        decoded = self.decode(upload, job, blank=unseen)
         people = self._find(decoded, evidence, job)
         return _answer(decoded, self.fit(people, decoded.camera, n, job), job)
 
@@ -96,11 +105,11 @@ class Estimator:
         decoded = self.decode(upload, job)
         return _answer(decoded, self._find(decoded, evidence, job), job)
 
-    def decode(self, upload: Upload, job: Job) -> DecodedUpload:
-        """Decode the images of an upload; raises :class:`UploadError`."""
+    def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
+        """Decode the images of an upload, as :meth:`UploadDecoder.decode` does."""
         job.checkpoint()
         with job.stage("decode"):
-            decoded = self._decoder.decode(upload, job)
+            decoded = self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
         return decoded
 

@@ -20,6 +20,7 @@ from app.vision.images import (
     ImageWarning,
     LabelImage,
     Photograph,
+    blank_image,
     decode_image,
     decode_mask,
 )
@@ -181,10 +182,13 @@ class UploadDecoder:
     max_pixels: int
     max_persons: int
 
-    def decode(self, upload: Upload, job: Job) -> DecodedUpload:
-        """Decode all images of an upload and check that they fit together."""
+    def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
+        """Decode all images of an upload and check that they fit together.
+
+        With ``blank``, the frame is black: nothing will look at it.
+        """
         images = (
-            ("frame", upload.frame, decode_image),
+            ("frame", upload.frame, blank_image if blank else decode_image),
             ("mask", upload.mask, decode_mask),
             ("background", upload.background, decode_image),
         )

@@ -89,7 +89,9 @@ async def draw_pose(
 
     def work(job: Job) -> bytes:
         # The number of hypotheses is the default of `/pose`, so that both show the same posture.
-        estimate = estimator.estimate(query.of(upload), DEFAULT_HYPOTHESES, job, query.evidence)
+        estimate = estimator.estimate(
+            query.of(upload), DEFAULT_HYPOTHESES, job, query.evidence, shown=True
+        )
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[query.keypoints]))
 

@@ -100,6 +100,28 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
     return Photograph.of(pixels, *found)
 
 
+_ORIENTATION, _ON_THE_SIDE = 0x0112, (5, 6, 7, 8)  # EXIF tag, and values that swap the sides.
+
+
+def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
+    """Make a black photograph of the size of an encoded one, for answers that need no more.
+
+    Of a JPEG, only the header is read, so the rest may be missing or broken.
+
+    Raises
+    ------
+    ImageTooLargeError, ImageError
+        As for :func:`decode_image`.
+    """
+    header = _checked_header(data, max_pixels)
+    if header.format in _JPEG:
+        on_the_side = header.getexif().get(_ORIENTATION) in _ON_THE_SIDE
+        shape = header.size if on_the_side else header.size[::-1]
+    else:
+        shape = _decode(data, header, cv2.IMREAD_COLOR).shape[:2]
+    return Photograph(np.zeros((*shape, 3), np.uint8))
+
+
 Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from app.estimation.upload import Upload
+from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
 from app.vision.blazepose import MaskNetwork, PoseReading
@@ -98,6 +98,23 @@ def reading_with(estimator: Estimator, reader: object) -> Estimator:
     models = replace(estimator.models, reader=reader)  # type: ignore[arg-type]
     limits = {"min_person_px": None, "max_pixels": 10**6, "max_persons": 9}
     return Estimator(estimator.index, models, **limits)  # type: ignore[arg-type]
+
+
+def test_of_a_photograph_beside_a_mask_silhouette_evidence_needs_the_size_alone(
+    estimator: Estimator, street: NDArray[np.uint8], walker: Person
+) -> None:
+    jpeg = cv2.imencode(".jpg", street)[1].tobytes()
+    mask = png(mask_of(walker, street.shape))
+    for frame in (jpeg, jpeg[:2000]):
+        (person,) = persons(estimator, Upload(frame, mask=mask), "silhouette")
+        (alone,) = persons(estimator, Upload(mask=mask), "silhouette")
+        assert [one.entry_id for one in person.hypotheses] == [
+            one.entry_id for one in alone.hypotheses
+        ]
+    for reason, other in (("undecodable", jpeg[:100]), ("misfit", png(street[1:]))):
+        with pytest.raises(UploadError) as error:
+            persons(estimator, Upload(other, mask=mask), "silhouette")
+        assert error.value.reason == reason
 
 
 @pytest.mark.parametrize("source", ["detector", "boxes", "mask", "background"])

@@ -20,6 +20,7 @@ from app.vision.images import (
     ImageTooLargeError,
     LabelImage,
     Photograph,
+    blank_image,
     decode_image,
     decode_mask,
 )
@@ -36,6 +37,21 @@ def test_exif_orientation_is_applied(orientation: int) -> None:
     expected = UPRIGHT[orientation](stored).astype(int)
     assert decoded.shape == expected.shape
     assert np.abs(decoded - expected).mean() < 12  # JPEG blurs the two edges
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        encode(quadrants(), ".webp"),
+        *(with_orientation(encode(quadrants(), ".jpg"), one) for one in UPRIGHT),
+    ],
+)
+def test_a_blank_image_has_the_size_of_the_decoded_one(data: bytes) -> None:
+    blank = blank_image(data, max_pixels=LIMIT)
+    assert blank.pixels.shape == decode_image(data, max_pixels=LIMIT).pixels.shape
+    assert not blank.pixels.any() and blank.warnings == ()
+    with pytest.raises(ImageTooLargeError):
+        blank_image(data, max_pixels=10)
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".webp", ".bmp", ".tiff"])
