@@ -18,15 +18,13 @@ from app.tracking.following import TrackedPeopleDetector
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Sighting, Track, appearance_histogram, associate
 from app.tracking.zones import Zone, is_outside
+from app.video import MIN_STEP_S
 from app.vision.geometry import Box
 from app.vision.silhouettes import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
 """Memory of a track that is a few seconds long; a test measures it."""
-
-MIN_INTERVAL_S = 1e-3
-"""Frames closer together have no order that a camera could have seen."""
 
 # After a longer gap the scene may be another one.
 _MAX_GAP_S = 10.0
@@ -162,9 +160,9 @@ class CameraSession:
         if timestamp is None:
             if self._frames == 0:
                 return 0.0
-            return self._timestamp + max(MIN_INTERVAL_S, arrived - self._arrived)
+            return self._timestamp + max(MIN_STEP_S, arrived - self._arrived)
         begins_afresh = timestamp < self._timestamp - _MAX_LATE_S
-        if not (begins_afresh or timestamp >= self._timestamp + MIN_INTERVAL_S):
+        if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
                 f"frame, got {timestamp:g} s"

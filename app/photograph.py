@@ -145,9 +145,6 @@ def normalise_person(person: Person) -> NormalisedPerson | None:
     return NormalisedPerson.of(person.silhouette, person.landmarks)
 
 
-_VOTERS = DEFAULT_HYPOTHESES  # They decide the posture, however many are requested.
-
-
 def fit_poses(
     index: PoseIndex,
     person: Person,
@@ -171,7 +168,9 @@ def fit_poses(
     hypotheses = found.hypotheses
     presence = 1.0 if person.presence is None else person.presence
     confidences = [presence * one.confidence for one in hypotheses]
-    votes = vote_posture([one.posture for one in hypotheses[:_VOTERS]], confidences[:_VOTERS])
+    # However many are requested.
+    voters = hypotheses[:DEFAULT_HYPOTHESES]
+    votes = vote_posture([one.posture for one in voters], confidences[: len(voters)])
     posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(

@@ -53,7 +53,6 @@ class MilvusNeighbours:
 
     Parameters
     ----------
-    client : MilvusClient
     collection : str
         Its own name: an alias could name different collections in two searches.
     """

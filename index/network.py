@@ -2,7 +2,7 @@
 
 For each joint it gives three distributions, over columns and rows of the normalised frame and over
 depths [1]_. It does not estimate poses itself, but measures how well a skeleton from the index
-agrees with the silhouette, of which the descriptor keeps only 48 values.
+agrees with the silhouette; the descriptor keeps only 48 values of it.
 
 Weights and activations are quantised to integers of seven bits plus sign, and sums of their
 products stay below 2 to the 24th. The sums are therefore exact in 32-bit floats, whatever the order

@@ -225,15 +225,13 @@ class PoseIndex:
         return np.where(mirrored, -roll_deg, roll_deg)
 
     def points(
-        self, entry_ids: NDArray[np.integer], rows: Sequence[int] | slice = slice(None)
+        self, entry_ids: NDArray[np.integer]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Skeletons of the given entries.
 
         Parameters
         ----------
         entry_ids : (B,) int array
-        rows : sequence of int, optional
-            Rows of ``POINT_NAMES``; by default all 24.
 
         Returns
         -------
@@ -246,7 +244,7 @@ class PoseIndex:
         rotations = camera_rotation(
             entries["azimuth_deg"], entries["elevation_deg"], entries["roll_deg"]
         )
-        body = self.skeletons[entries["skeleton"]][:, rows].astype(np.float64)
+        body = self.skeletons[entries["skeleton"]].astype(np.float64)
         # Contiguous matrices are multiplied three times faster.
         points_3d = body @ np.ascontiguousarray(rotations.swapaxes(1, 2))
         points_normalised = project(points_3d, entries["distance"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import sys
 from collections.abc import Sequence
@@ -55,6 +56,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"scripts: expected a command, got {name!r}\n\n{usage()}", file=sys.stderr)
         return 2
     sys.argv[0] = f"scripts {name}"  # argparse takes its program name from here.
+    logging.basicConfig(format="%(message)s", stream=sys.stdout)
+    logging.getLogger("index").setLevel(logging.INFO)
     try:
         return importlib.import_module(COMMANDS[name][0]).main(rest) or 0
     except ModuleNotFoundError as error:

@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
             client = stack.enter_context(Client(options.scheduler, timeout=CONNECT_S))
             executor = client.get_executor(pure=False)
-        index = build(spec, executor=executor, progress=True, log=print)
+        index = build(spec, executor=executor)
     version = save_index(index, options.out)
     print(f"{len(index)} entries in {options.out}, {version}")
 

@@ -255,7 +255,6 @@ class HomeFilm:
     ----------
     name, source, about : str
         File, data set, description.
-    path : Path
     classes : list of (str, float, float)
         Activity, and from when to when, seconds.
     fall : float or None

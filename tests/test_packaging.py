@@ -104,21 +104,6 @@ def test_what_the_image_has_runs_the_bridge(file: str, pattern: str, tmp_path: P
     assert ended.stderr.startswith("watch-camera: --queue: expected a file for events, got ")
 
 
-def test_make_clean_leaves_nothing_that_git_does_not_track(tmp_path: Path) -> None:
-    for file in ("Makefile", ".gitignore"):
-        shutil.copy(ROOT / file, tmp_path)
-    for pattern in (ROOT / ".gitignore").read_text().split():
-        folder = tmp_path / pattern.strip("/").replace("*", "a" if pattern[0] == "*" else "")
-        folder.mkdir()
-        (folder / "file").touch()
-    kept = tmp_path / "tests" / "mine.txt"  # Not tracked yet, and nobody's to delete.
-    kept.parent.mkdir()
-    kept.touch()
-    output_of("make", "-C", tmp_path, "clean")
-    left = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert left == {"Makefile", ".gitignore", "tests/mine.txt"}
-
-
 def test_what_was_tested_is_what_is_installed() -> None:
     text = (ROOT / "constraints.txt").read_text()
     held = {

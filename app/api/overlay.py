@@ -49,7 +49,6 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
 
     Parameters
     ----------
-    estimate : Estimate
     keypoints : KeypointSet
         Keypoints and bones to draw.
 
@@ -166,7 +165,6 @@ def write_text(
     ----------
     picture : (H, W, 3) uint8 array
         Changed.
-    text : str
     corner : (int, int)
         Column and row of the bottom left, pixels.
     letter : int
@@ -214,7 +212,6 @@ def draw_skeleton(
         Changed.
     points : (K, 2) float64 array
         Pixels, in the order of ``keypoints``.
-    keypoints : KeypointSet
     line : int
         Pixels.
     unsure : sequence of bool, optional

@@ -33,7 +33,6 @@ def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray
 
     Parameters
     ----------
-    silhouette : Silhouette
     frame_shape : tuple of int
         Height and width first, as ``frame.shape``.
 

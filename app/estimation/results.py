@@ -78,8 +78,6 @@ class Person:
         Probabilities of postures, from the landmarks; None if they were not read.
     trust : Trust or None
         How far to trust the landmarks; None if they were not read.
-    facing : Facing or None
-    posture : EstimatedPosture or None
     hypotheses : tuple of ProjectedHypothesis
         Best first. Without a silhouette there are none, and neither facing nor posture.
     """

@@ -29,8 +29,6 @@ class AccessLogMiddleware:
 
     Parameters
     ----------
-    app : ASGI application
-    metrics : Metrics
     table : RouteTable
         Names the route that a request was meant for, even if the request is refused earlier.
     on_refused : callable

@@ -92,7 +92,6 @@ class AdmissionMiddleware:
 
     Parameters
     ----------
-    app : ASGI application
     check : callable
         Raises :class:`app.scheduling.job.BusyError` if the request would be refused later.
     limits_of : callable

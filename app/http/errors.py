@@ -110,7 +110,6 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
 
     Parameters
     ----------
-    app : FastAPI
     table : RouteTable
         Paths and methods to name in a 404 or 405.
     """

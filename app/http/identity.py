@@ -51,7 +51,6 @@ class Identity(NamedTuple):
 
     Parameters
     ----------
-    caller : Caller
     stream : CameraStream or None
         The camera that the request names, in its path or a header.
     is_authorised : bool
@@ -71,7 +70,6 @@ class IdentityMiddleware:
 
     Parameters
     ----------
-    app : ASGI application
     api_keys : sequence of SecretStr
         The configured keys.
     """

@@ -103,7 +103,6 @@ class FairQueue:
 
     Parameters
     ----------
-    threads : int
     max_wait_s : float
         Longest wait of a frame.
     clock : callable
@@ -198,7 +197,6 @@ class FairQueue:
 
         Parameters
         ----------
-        ticket : Ticket
         worked : bool
             Whether the work was completed, so that its duration is typical of its kind.
         """

@@ -42,11 +42,8 @@ class Runtime:
 
     Parameters
     ----------
-    settings : Settings
     executor : Executor
         Does all work on images.
-    metrics : Metrics
-    sessions : CameraSessions
     sequences : int
         Number of videos that are received or worked on.
     estimator : Estimator or None

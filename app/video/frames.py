@@ -20,13 +20,13 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from app.video import MIN_STEP_S
+
 # A frame rate above the maximum is treated as wrong and replaced by the default.
 _DEFAULT_FPS = 25.0
 _MAX_FPS = 1000.0
 _MAX_TIMESTAMP_S = 1e9
 _MIN_PIXEL_ASPECT = 0.25
-MIN_STEP_S = 1e-3
-"""Least time between two frames; a camera session takes none that are closer."""
 
 # FFmpeg's messages. Containers other than MP4 and Matroska mark the last packet as corrupt.
 _CUT_OFF = ("partial file", "File ended prematurely")

@@ -267,7 +267,7 @@ _MIN_COVER = 0.45  # Share of the nearby difference that half a pixel of a perso
 
 
 def _without_halo(mask: NDArray[np.bool_], difference: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Drop border pixels of which a person covers less than half, since lenses blur edges.
+    """Drop border pixels that a person covers by less than half, since lenses blur edges.
 
     Such pixels differ from the background less than half as much as pixels further inside.
     """

@@ -56,8 +56,6 @@ class NetworkDetector:
 
     Parameters
     ----------
-    movenet : MoveNet
-    body_detector : BlazePoseDetector
     landmarks : LandmarkNetwork
         Confirms people that MoveNet misses.
     min_person_px : float, optional

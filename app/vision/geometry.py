@@ -234,19 +234,14 @@ def transform_points(
     return points @ matrix[:, :2].T + matrix[:, 2]
 
 
-def sample_window(
-    frame: NDArray[np.uint8], window: PersonWindow, pixels: int, max_step: float = 1.5
-) -> NDArray[np.uint8]:
+def sample_window(frame: NDArray[np.uint8], window: PersonWindow, pixels: int) -> NDArray[np.uint8]:
     """Sample a window of a frame; what lies beyond the frame is black.
 
     Parameters
     ----------
     frame : (H, W, 3) uint8 array
-    window : PersonWindow
     pixels : int
         Side of the result.
-    max_step : float
-        The frame is averaged first until a pixel of the result covers about this many pixels.
 
     Returns
     -------
@@ -263,7 +258,8 @@ def sample_window(
     part = frame[low[1] : high[1], low[0] : high[0]]
     matrix = window.to_frame(pixels)
     matrix[:, 2] -= low
-    halvings = round(math.log2(window.side / (max_step * pixels)))
+    # A pixel of the result covers about one and a half pixels of the averaged frame.
+    halvings = round(math.log2(window.side / (1.5 * pixels)))
     if halvings > 0:
         factor = 2**halvings
         factors = np.minimum(factor, high - low)

@@ -26,9 +26,9 @@ def logit(probabilities: NDArray[np.float64], min_probability: float) -> NDArray
     return np.asarray(np.log(clipped / (1 - clipped)))
 
 
-def log_odds(probability: float, min_probability: float = 1e-3) -> float:
+def log_odds(probability: float) -> float:
     """The finite log odds of one probability; see :func:`logit`."""
-    return float(logit(np.array(probability, np.float64), min_probability))
+    return float(logit(np.array(probability, np.float64), 1e-3))
 
 
 def softmax(scores: NDArray[np.floating]) -> NDArray[np.float64]:

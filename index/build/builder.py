@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import logging
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +26,8 @@ from index.posture import LOW, POSTURES, classify_postures
 from index.search import STEPS_PER_UNIT
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
+
+log = logging.getLogger(__name__)
 
 CMU_ATTRIBUTION = (
     "The data used in this project was obtained from mocap.cs.cmu.edu. "
@@ -136,8 +139,6 @@ def build(
     spec: IndexSpec,
     *,
     executor: Executor | None = None,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
 ) -> PoseIndex:
     """Build an index from a motion folder.
 
@@ -145,10 +146,6 @@ def build(
     ----------
     executor : Executor, optional
         Renders the silhouettes; by default threads of this process.
-    progress : bool
-        Whether to show progress bars.
-    log : callable
-        Takes sentences about the progress.
 
     Raises
     ------
@@ -157,18 +154,18 @@ def build(
     """
     segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
     poses, dropped = read_poses(spec.motion, segments)
-    log(
+    log.info(
         f"{len(poses)} frames of {len(poses.clips)} clips; dropped {dropped.t_poses} in T-pose "
         f"and {dropped.jumps} next to a jump."
     )
     plan = spec.plan.fitted(len(poses))
     avatars = make_avatars(INDEX_AVATARS, spec.garments)
     if spec.garments is None:
-        log("No garments folder: the bodies are unclothed.")
+        log.info("No garments folder: the bodies are unclothed.")
     chosen = choose_poses(poses, avatars[0], plan.poses, plan.seed)
     kept, held, by_clip = split(segments)
     if not by_clip:
-        log(NOT_HELD_OUT)
+        log.info(NOT_HELD_OUT)
     simulation = simulate(
         chosen,
         avatars,
@@ -176,7 +173,6 @@ def build(
         views=plan.views,
         seed=plan.seed,
         only_new=True,
-        progress=progress,
         executor=executor,
     )
     asked = simulate_queries(
@@ -195,8 +191,6 @@ def build(
     calibration = calibrate(
         assemble(inner, descriptor, Calibration.none(), {}, "calibration"),
         Queries.of(asked).half_degraded(plan.seed + 1),
-        progress=progress,
-        log=log,
     )
     parameters: dict[str, object] = {
         "poses": len(chosen),
@@ -313,7 +307,7 @@ ALSO_HELD_OUT = ("m2m_Crouch_Fwd_Loop", "m2m_Tired_Hunched")
 """Clips near the ground that experiments hold out although their actions have fewer than three."""
 
 NOT_HELD_OUT = (
-    "No action has three clips, of which one could be held out: the confidence is fitted on the "
+    "No action has three clips, so that one could be held out: the confidence is fitted on the "
     "ends of the clips, which are easier than unseen ones."
 )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -19,6 +19,8 @@ from index.matching import DEFAULT_HYPOTHESES, match
 from index.posture import POSTURES
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -132,17 +134,13 @@ class Trial:
         return self.error_px < RIGHT_BELOW_PX
 
 
-def run_trial(
-    index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES, progress: bool = False
-) -> Trial:
+def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES) -> Trial:
     """Ask an index for silhouettes whose skeletons are known.
 
     Parameters
     ----------
     n : int
         Hypotheses per query.
-    progress : bool
-        Whether to show a progress bar.
     """
     names = FEATURES if index.reranker is None else RERANKING_FEATURES
     features = np.zeros((len(queries), n, len(names)))
@@ -150,7 +148,7 @@ def run_trial(
     joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
     postures = np.full((len(queries), n), -1)
-    for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=not progress):
+    for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=None):
         found = match(index, queries.silhouettes[row], n, roll_deg=float(queries.roll_deg[row]))
         hypotheses = found.hypotheses[:n]
         features[row, : len(hypotheses)] = found.features[:n]
@@ -181,15 +179,12 @@ def calibrate(
     index: PoseIndex,
     queries: Queries,
     features: tuple[str, ...] = FEATURES,
-    *,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
 ) -> Calibration:
     """Fit the confidence on an index's answers to silhouettes of clips and bodies that it lacks."""
-    trial = run_trial(index, queries, progress=progress)
+    trial = run_trial(index, queries)
     calibration = fit_calibration(trial, features)
     confidence = calibration.probability(trial.features.reshape(-1, len(features)))
-    log(
+    log.info(
         f"Confidence fitted on {len(queries)} silhouettes that were held out, "
         "every second one degraded: "
         f"{100 * trial.right[:, 0].mean():.1f} % right at rank 1, "
@@ -199,10 +194,9 @@ def calibrate(
     return calibration
 
 
-def expected_calibration_error(
-    confidence: NDArray[np.floating], right: NDArray[np.bool_], bins: int = 10
-) -> float:
-    """Mean gap between confidence and share of right answers over equal-width bins."""
+def expected_calibration_error(confidence: NDArray[np.floating], right: NDArray[np.bool_]) -> float:
+    """Mean gap between confidence and share of right answers over ten bins of equal width."""
+    bins = 10
     bin_of = np.minimum((confidence.ravel() * bins).astype(int), bins - 1)
     gaps = [
         abs(confidence.ravel()[bin_of == b].mean() - right.ravel()[bin_of == b].mean())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+import logging
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -49,6 +49,8 @@ from index.network import (
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
+log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True)
 class TrainingConfig:
@@ -81,9 +83,6 @@ def train_reranker(
     index: PoseIndex,
     spec: IndexSpec,
     config: TrainingConfig,
-    *,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
 ) -> RankingModel:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
@@ -96,10 +95,6 @@ def train_reranker(
     spec : IndexSpec
         What the index was built from. Its ``segments`` may be used: an experiment leaves out those
         that it asks for. The confidence is fitted on ``plan.calibration`` silhouettes.
-    progress : bool
-        Whether to show progress bars.
-    log : callable
-        Takes sentences about the progress.
 
     Raises
     ------
@@ -109,12 +104,12 @@ def train_reranker(
     segments = read_manifest(spec.motion) if spec.segments is None else spec.segments
     kept, held, by_clip = split(segments)
     if not by_clip:
-        log(NOT_HELD_OUT)
+        log.info(NOT_HELD_OUT)
     rows = entries_of(index, kept)
     if not len(rows):
         raise ValueError("expected an index with entries of the given motion, got none")
-    log(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
-    layers = train(index, rows, config, log=log)
+    log.info(f"Training on {len(rows):,} of {len(index):,} silhouettes of {index.name}.")
+    layers = train(index, rows, config)
     network = _whole(layers, index, rows)
     simulated = simulate_queries(
         spec.motion,
@@ -124,11 +119,11 @@ def train_reranker(
         config.seed + 1,
     )
     queries = Queries.of(simulated).half_degraded(config.seed + 1)
-    reranker = calibrated(part(index, rows), network, queries, progress=progress, log=log)
+    reranker = calibrated(part(index, rows), network, queries)
     everything = entries_of(index, segments)
-    log(f"Going on with {len(everything):,} silhouettes.")
+    log.info(f"Going on with {len(everything):,} silhouettes.")
     finish = replace(config, passes=_FINISHING_SHARE * config.passes, rate=config.rate / 2)
-    layers = train(index, everything, finish, start=layers, log=log)
+    layers = train(index, everything, finish, start=layers)
     training: dict[str, Any] = {
         "index": index.version,
         "entries": len(everything),
@@ -155,13 +150,10 @@ def calibrated(
     index: PoseIndex,
     network: JointNetwork,
     queries: Queries,
-    *,
-    progress: bool = False,
-    log: Callable[[str], None] = lambda _: None,
 ) -> RankingModel:
     """A network with the confidence that is fitted to its ranking of an index's answers."""
     asked = replace(index, reranker=RankingModel.of(network))
-    calibration = calibrate(asked, queries, RERANKING_FEATURES, progress=progress, log=log)
+    calibration = calibrate(asked, queries, RERANKING_FEATURES)
     return RankingModel(network, calibration)
 
 
@@ -177,14 +169,15 @@ def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
     )
 
 
+_LOG_EVERY = 500  # Steps.
+
+
 def train(
     index: PoseIndex,
     rows: NDArray[np.integer],
     config: TrainingConfig,
     *,
     start: nn.Sequential | None = None,
-    log: Callable[[str], None] = lambda _: None,
-    every: int = 500,
 ) -> nn.Sequential:
     """Train on some entries of an index, their mirror images and degraded versions.
 
@@ -194,10 +187,6 @@ def train(
         The entries.
     start : torch.nn.Sequential, optional
         Already trained network to start from; by default one of random weights.
-    log : callable
-        Takes sentences about the progress.
-    every : int
-        Steps between two lines.
 
     Returns
     -------
@@ -231,8 +220,9 @@ def train(
         optimiser.step()
         schedule.step()
         lost += loss.item()
-        if step % every == 0 or step == steps:
-            log(f"step {step:,} of {steps:,}: loss {lost / (step % every or every):.4f}")
+        if step % _LOG_EVERY == 0 or step == steps:
+            mean = lost / (step % _LOG_EVERY or _LOG_EVERY)
+            log.info(f"step {step:,} of {steps:,}: loss {mean:.4f}")
             lost = 0.0
     return layers
 

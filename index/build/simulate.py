@@ -87,7 +87,6 @@ def simulate(
     views: int,
     seed: int,
     only_new: bool = False,
-    progress: bool = False,
     executor: Executor | None = None,
 ) -> Simulation:
     """Render every pose on some bodies from some views.
@@ -105,8 +104,6 @@ def simulate(
     only_new : bool
         Whether poses laid down are seen along the trunk only: seen across, they look like
         standing ones.
-    progress : bool
-        Whether to show a progress bar.
     executor : Executor, optional
         Renders the silhouettes; by default threads of this process.
 
@@ -132,7 +129,7 @@ def simulate(
     with (
         TemporaryFile() as file,
         nullcontext(executor) if executor else ThreadPoolExecutor(os.cpu_count()) as pool,
-        tqdm(total=len(assigned), unit="body", desc="simulating", disable=not progress) as bar,
+        tqdm(total=len(assigned), unit="body", desc="simulating", disable=None) as bar,
     ):
         # In a file, since a large index has no room in memory until it is compressed.
         bits = np.memmap(file, np.uint8, shape=(len(assigned), views, PACKED_BYTES))
@@ -162,7 +159,7 @@ def assign_avatars(count: int, avatars: int, seed: int) -> NDArray[np.int64]:
 def _posed(
     poses: Poses, numbers: NDArray[np.int64], bodies: int, avatar: Avatar, only_new: bool
 ) -> PosedBodies:
-    """Pose an avatar for the bodies of these numbers, of which each pose has ``bodies``."""
+    """Pose an avatar for the bodies of these numbers; each pose has ``bodies``."""
 
     @cache
     def retargeting(clip: int) -> Retargeting:

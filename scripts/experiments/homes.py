@@ -42,7 +42,6 @@ class Watched:
 
     Parameters
     ----------
-    film : HomeFilm
     events : list of (float, str)
         What began or happened, and when.
     answers : list of (str, str or None)

@@ -242,7 +242,7 @@ def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
     for number, frame in tqdm(frames, desc=camera):
         truth = limbs_3d[number]
         if number % 4 == 0:
-            (person,) = estimate(estimator, encoded(frame), _generous_box(joints_2d[number]))
+            (person,) = estimate(estimator, encoded(frame), generous_box(joints_2d[number]))
             errors = [error_mm(one.points_3d, truth) for one in person.hypotheses]
             single.append((errors[0], min(errors)))
             low.append(is_low(person))
@@ -267,7 +267,8 @@ def leaning(estimator: Estimator, folder: Path, camera: str) -> Figures:
     }
 
 
-def _generous_box(joints: NDArray[np.float64]) -> Box:
+def generous_box(joints: NDArray[np.float64]) -> Box:
+    """Return a box about joints ``(J, 2)`` as a caller might draw it."""
     low, high = joints.min(axis=0), joints.max(axis=0)
     height = float(high[1] - low[1])
     return Box(

@@ -67,7 +67,6 @@ class Shown:
 
     Parameters
     ----------
-    source : str
     frame : (H, W, 3) uint8 array
         BGR.
     truth : str, optional

@@ -71,11 +71,11 @@ def measure(
 ) -> dict[str, object]:
     """Ask an index for simulated queries, the upright ones first."""
     queries = Queries.of(simulated)
-    every = run_trial(index, queries, progress=True)
+    every = run_trial(index, queries)
     upright = every.take(np.arange(asked.upright))
     some = np.arange(0, asked.upright, DEGRADED_EVERY)
     degraded_queries = queries.take(some).degraded(QUERY_SEED)
-    degraded = run_trial(index, degraded_queries, progress=True)
+    degraded = run_trial(index, degraded_queries)
     postures = true_postures(simulated)
     low = np.flatnonzero(posture_groups(postures)["low"])
     rankings = {

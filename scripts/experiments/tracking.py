@@ -213,7 +213,6 @@ def fit(shared: Path) -> None:
     known, asked = split_by_clip(kept, position=TUNING_POSITION)
     index: PoseIndex = build(
         IndexSpec("tuning", shared / "mocap", shared / "garments", segments=tuple(known)),
-        progress=True,
     )
     features, right = [], []
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):

@@ -30,7 +30,7 @@ def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
         index = load_index(folder)
     else:
         spec = IndexSpec("strict", shared / "mocap", shared / "garments", segments=tuple(kept))
-        index = build(spec, progress=True, log=print)
+        index = build(spec)
         if folder is not None:
             save_index(index, folder)
     return replace(index, reranker=shipped_reranker(held))

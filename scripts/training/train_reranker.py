@@ -35,8 +35,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         load_index(options.index, reranked=False),
         IndexSpec("", options.mocap, options.garments, segments=tuple(kept)),
         TrainingConfig(passes=options.passes, seed=options.seed),
-        progress=True,
-        log=lambda line: print(line, flush=True),
     )
     save_reranker(reranker, options.index)
     print(f"Written to {options.index}")

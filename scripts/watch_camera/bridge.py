@@ -29,8 +29,6 @@ class Bridge:
 
     Parameters
     ----------
-    camera : Camera
-    outbox : Outbox
     home_assistant : HomeAssistant, optional
         Shows how many people there are, and which zones are occupied.
     """

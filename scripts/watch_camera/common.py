@@ -65,7 +65,6 @@ class Connection:
     ----------
     address : SplitResult
         Credentials in it are sent with each request (basic authentication).
-    timeout_s : float
     """
 
     def __init__(self, address: SplitResult, timeout_s: float) -> None:

@@ -56,7 +56,6 @@ class HomeAssistant:
     ----------
     address : SplitResult
         ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
-    camera_id : str
     """
 
     def __init__(self, address: SplitResult, camera_id: str) -> None:

@@ -31,7 +31,6 @@ class Outbox:
 
     Parameters
     ----------
-    camera_id : str
     receivers : iterable of str
         Their names.
     path : Path, optional
@@ -152,7 +151,6 @@ def deliver(
 
     Parameters
     ----------
-    outbox : Outbox
     stopping : Event
         Ends this.
     receiver : str

@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import httpx
 import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
-from tests.conftest import Photo, Server, Serving
+from tests.conftest import Photo, Serving
 from tests.support.service import check_problem, eventually, sample, send
 
 
@@ -32,15 +31,6 @@ class TestTrackFrame:
         assert sample(client, "pose_camera_frames_total", session="new") == 2
         assert sample(client, "pose_camera_frames_total", session="warm") == 2
 
-    def test_a_photograph_may_be_the_body(self, client: TestClient, photo: Photo) -> None:
-        response = client.post(
-            "/cameras/yard/frames",
-            content=photo.frame_png,
-            headers={"content-type": "image/png"},
-            params={"timestamp": 3.25},
-        )
-        assert response.json()["timestamp"] == 3.25
-
     def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
         path = "/cameras/yard/frames"
         broken = client.post(path, files={"frame": b"?"})
@@ -54,11 +44,6 @@ class TestTrackFrame:
         ):
             assert 400 <= response.status_code < 500
             assert response.headers["x-session"] == "warm"
-
-    def test_a_dropped_session_starts_afresh(self, serving: Serving, photo: Photo) -> None:
-        with serving(max_cameras=1) as client:
-            assert sessions_of(client, photo, "yard", "gate", "yard") == ["new"] * 3
-            assert sample(client, "pose_camera_sessions_ended_total", reason="number") == 2
 
 
 class Gate:
@@ -125,14 +110,6 @@ class TestOrder:
             assert sample(client, "pose_rejected_total", reason="superseded") == 1
             assert sample(client, "pose_rejected_total", reason="overloaded") is None
 
-    def test_two_cameras_run_side_by_side(self, serving: Serving, photo: Photo, gate: Gate) -> None:
-        with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(2) as threads:
-            answers = [threads.submit(send, client, photo, name) for name in ("yard", "gate")]
-            eventually(lambda: gate.begun == 2)
-            assert not any(answer.done() for answer in answers)
-            gate.let_go.set()
-            assert [answer.result(10).status_code for answer in answers] == [200, 200]
-
 
 def test_cameras_are_listed_and_forgotten(client: TestClient, photo: Photo) -> None:
     assert client.get("/cameras").json() == {"cameras": []}
@@ -174,30 +151,3 @@ class TestKeys:
         assert "x-session" not in response.headers
         for method, path in (("GET", ""), ("GET", "/yard"), ("DELETE", "/yard")):
             assert locked.request(method, f"/cameras{path}").status_code == 401
-
-
-def test_eight_cameras_at_once_over_real_sockets(server: Server, photo: Photo) -> None:
-    """Each camera's frames are counted in order, whatever was refused."""
-
-    def play(camera: str) -> list[int]:
-        seen: list[int] = []
-
-        def ask() -> bool:
-            response = send(client, photo, camera, query={"n": 1})
-            if response.status_code != 503:
-                assert response.status_code == 200, response.text
-                assert response.json()["camera_id"] == camera
-                seen.append(response.json()["frame_index"])
-            return len(seen) == 6
-
-        with httpx.Client(base_url=server.url, timeout=30) as client:
-            eventually(ask, timeout_s=60)
-        return seen
-
-    names = [f"camera-{number}" for number in range(8)]
-    with ThreadPoolExecutor(8) as clients:
-        assert list(clients.map(play, names)) == [list(range(6))] * 8
-    listed = httpx.get(f"{server.url}/cameras").json()["cameras"]
-    assert {camera["camera_id"]: camera["frames"] for camera in listed} == dict.fromkeys(names, 6)
-    for name in names:
-        assert httpx.delete(f"{server.url}/cameras/{name}").status_code == 204

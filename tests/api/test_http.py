@@ -59,12 +59,6 @@ def test_redirects_are_relative(client: TestClient, path: str, location: str) ->
     assert path.partition("?")[0] in check_problem(response, 307)
 
 
-def test_a_redirected_frame_is_answered(client: TestClient, photo: Photo) -> None:
-    response = client.post("/pose/?n=1", files=photo.files)
-    assert response.status_code == 200
-    assert response.json()["persons"]
-
-
 @pytest.mark.parametrize("path", ["//evil.example/", "/static/", "//", "/nothing/", "/pose//"])
 def test_nothing_else_is_redirected(client: TestClient, path: str) -> None:
     response = client.get(f"http://testserver{path}", follow_redirects=False)

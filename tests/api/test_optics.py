@@ -32,18 +32,6 @@ def squeezed(photo: Photo) -> dict[str, bytes]:
     return {"mask": png(mask)}
 
 
-def test_a_person_off_axis_is_turned_by_the_field_of_view(client: TestClient, photo: Photo) -> None:
-    height, width = photo.mask.shape
-    aside = np.zeros((height, 4 * width), np.uint8)
-    aside[:, 3 * width :] = photo.mask
-    narrow, wide = (ask(client, {"mask": png(aside)}, fov_deg=angle) for angle in (20, 100))
-    places = [answer["persons"][0]["position"] for answer in (narrow, wide)]
-    assert places[0]["x"] > 0 and places[1]["x"] > 0
-    assert places[1]["x"] / places[1]["z"] > 4 * places[0]["x"] / places[0]["z"]
-    assert np.abs(joints(narrow) - joints(wide)).max() > 0.1
-    np.testing.assert_allclose(joints(narrow, "joints_2d"), joints(wide, "joints_2d"), atol=0.02)
-
-
 def test_a_squeezed_picture_answers_like_the_unsqueezed_one(
     client: TestClient, photo: Photo
 ) -> None:

@@ -70,13 +70,6 @@ class TestLines:
         assert sample(client, "pose_sequences") == 0
         assert sample(client, "pose_camera_sessions") == 0
 
-    def test_a_video_may_be_the_body(self, client: TestClient, video: bytes) -> None:
-        headers = {"content-type": "video/x-msvideo"}
-        raw = client.post("/sequence?stride=5&n=1", content=video, headers=headers)
-        frames, end = parse(raw)  # type: ignore[arg-type]
-        assert [frame.video_frame for frame in frames] == [0, 5, 10]
-        assert end.reason == "complete"
-
     def test_max_frames_limits_the_frames(self, client: TestClient, video: bytes) -> None:
         frames, end = parse(post(client, video, max_frames=3))
         assert (len(frames), end.reason, end.frames) == (3, "max_frames", 3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import yaml
 from app.main import create_app
 from app.settings import VARIABLES, Settings
 from tests.conftest import ROOT
-from tests.support.programs import output_of
 
 DEPLOY = ROOT / "deploy"
 BALANCER = (DEPLOY / "haproxy.cfg").read_text()
@@ -63,47 +61,6 @@ class TestSchema:
     @pytest.mark.parametrize("document", MANIFESTS + CLAIM, ids=title)
     def test_every_document_is_valid(self, document: Document, version: str) -> None:
         kubernetes_validate.validate(document, version, strict=True)
-
-
-class TestKustomize:
-    @staticmethod
-    def built(folder: Path) -> list[Document]:
-        if shutil.which("kubectl") is None:
-            pytest.skip("needs kubectl")
-        return list(yaml.safe_load_all(output_of("kubectl", "kustomize", folder)))
-
-    def test_the_balancer_gets_the_one_configuration(self) -> None:
-        built = self.built(DEPLOY)
-        for document in built:
-            kubernetes_validate.validate(document, VERSIONS[-1], strict=True)
-        (configuration,) = (doc for doc in built if doc["kind"] == "ConfigMap")
-        assert configuration["data"] == {"haproxy.cfg": BALANCER}
-        (deployment,) = (doc for doc in built if title(doc) == "Deployment-pose-balancer")
-        (volume,) = pod(deployment)["volumes"]
-        assert volume["configMap"]["name"] == configuration["metadata"]["name"]
-
-    def test_an_index_on_a_volume_replaces_the_one_in_the_image(self, tmp_path: Path) -> None:
-        folder = tmp_path / "deploy"
-        shutil.copytree(DEPLOY, folder)
-        file = folder / "kustomization.yaml"
-        text = file.read_text()
-        file.write_text(
-            text.replace("# components:", "components:").replace(
-                "#   - kubernetes/", "  - kubernetes/"
-            )
-        )
-        built = self.built(folder)
-        for document in built:
-            kubernetes_validate.validate(document, VERSIONS[-1], strict=True)
-        (deployment,) = (doc for doc in built if title(doc) == "Deployment-pose")
-        (volume,), (mount,) = pod(deployment)["volumes"], container(deployment)["volumeMounts"]
-        assert volume["persistentVolumeClaim"]["readOnly"] is mount["readOnly"] is True
-        index = next(v for v in container(deployment)["env"] if v["name"] == "POSE_INDEX")
-        assert index["value"] == mount["mountPath"]
-        # The other settings are still there.
-        assert len(container(deployment)["env"]) == len(container(REPLICAS)["env"]) + 1
-        (claim,) = (doc for doc in built if doc["kind"] == "PersistentVolumeClaim")
-        assert claim["metadata"]["name"] == volume["persistentVolumeClaim"]["claimName"]
 
 
 class TestService:

@@ -183,23 +183,6 @@ def test_uploads_as_large_as_the_service_takes_reach_it(client: httpx.Client) ->
     assert answer.json()["reason"] == "undecodable"
 
 
-@pytest.mark.parametrize(
-    ("path", "field", "setting"),
-    [("/pose", "frame", "max_upload_bytes"), ("/sequence", "video", "max_video_bytes")],
-)
-def test_larger_ones_are_refused_as_too_large(
-    client: httpx.Client, path: str, field: str, setting: str
-) -> None:
-    large = bytes(DEFAULTS[setting] + 100_000)
-    try:
-        answer = client.post(path, files={field: ("a.jpg", large)})
-    except httpx.WriteError:
-        return  # Refused while it was still being sent.
-    assert answer.status_code == 413
-    assert answer.headers["content-type"].startswith("application/problem+json")
-    assert answer.json()["reason"] == "too_many_bytes"
-
-
 def test_the_lines_of_a_video_come_one_by_one(client: httpx.Client, tmp_path: Path) -> None:
     video = write_video(tmp_path / "clip.avi", numbered_frames(25, 480, 640))
     times = []

@@ -46,21 +46,21 @@ def figure(*limbs: tuple[Point, ...], head: Point, thickness: int = 22) -> Pictu
 
 
 def standing() -> Picture:
-    """Somebody who stands, arms hanging a little aside."""
+    """A person who stands, arms hanging a little aside."""
     torso = ((112, 80), (128, 80), (130, 160), (110, 160), (112, 80), (120, 160))
     arms = ((80, 170), (88, 120), (105, 80), (135, 80), (152, 120), (160, 170))
     return figure(torso, arms, ((112, 160), (104, 290)), ((128, 160), (136, 290)), head=(120, 48))
 
 
 def arms_raised() -> Picture:
-    """Somebody who holds both arms up."""
+    """A person who holds both arms up."""
     torso = ((112, 100), (128, 100), (130, 175), (110, 175), (112, 100), (120, 175))
     arms = ((70, 24), (82, 66), (105, 100), (135, 100), (158, 66), (170, 24))
     return figure(torso, arms, ((112, 175), (100, 300)), ((128, 175), (140, 300)), head=(120, 68))
 
 
 def lying() -> Picture:
-    """The one who stands, on the side."""
+    """The standing person, on the side."""
     return np.ascontiguousarray(np.rot90(standing()))
 
 
@@ -72,7 +72,7 @@ def _turned(lines: Sequence[Sequence[Point]], about: Point, degrees: float) -> l
 
 
 def falling(degrees: float) -> Picture:
-    """The one who stands, tilted to the right about the feet by ``degrees``: ``(360, 400)``."""
+    """The standing person, tilted to the right about the feet by ``degrees``: ``(360, 400)``."""
     torso = ((112, 110), (128, 110), (130, 190), (110, 190), (112, 110), (120, 190))
     arms = ((80, 200), (88, 150), (105, 110), (135, 110), (152, 150), (160, 200))
     legs = ((112, 190), (104, 320)), ((128, 190), (136, 320))
@@ -97,7 +97,7 @@ def falls() -> Iterator[Picture]:
 def crossing() -> Iterator[Picture]:
     """Two people who walk past each other at ten frames a second for 2.5 s: ``(340, 640)``.
 
-    The one who walks to the left is nearer, and hides the other half-way.
+    The person who walks to the left is nearer, and hides the other half-way.
     """
     near = standing()
     far = cv2.resize(near, (192, 256), interpolation=cv2.INTER_NEAREST)

@@ -61,7 +61,7 @@ def toy_index() -> PoseIndex:
 
 @pytest.fixture(scope="session")
 def ground_index() -> PoseIndex:
-    """Silhouettes of figures of which most lie, on the back, the belly or a side."""
+    """Silhouettes of figures, most of them lying on the back, the belly or a side."""
     generator, standing = np.random.default_rng(8), movement(12, extent=0.35)
     lying = []
     for figure in np.repeat(standing, 3, axis=0):

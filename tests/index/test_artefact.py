@@ -18,7 +18,7 @@ from pathlib import Path
 import faiss
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from descriptor.descriptor import DiscriminantDescriptor
@@ -36,7 +36,6 @@ from index.build.writer import npy_bytes, save_index, save_reranker
 from index.network import RankingModel
 from index.store import ENTRY_DTYPE, PoseIndex
 from tests.index.helpers import contents, seal
-from tests.support.programs import output_of
 
 
 class TestRoundTrip:
@@ -222,16 +221,6 @@ def test_saved_network_is_loaded(with_network: Path, reranker: RankingModel) -> 
     assert_array_equal(back.network.layers[-1].offsets, reranker.network.layers[-1].offsets)
 
 
-def test_saving_a_network_does_not_change_the_index(
-    toy_index: PoseIndex, reranker: RankingModel, tmp_path: Path
-) -> None:
-    version = save_index(toy_index, tmp_path / "index")
-    before = {file: file.read_bytes() for file in (tmp_path / "index").iterdir()}
-    save_reranker(reranker, tmp_path / "index")
-    assert load_index(tmp_path / "index").version == version
-    assert all(file.read_bytes() == content for file, content in before.items())
-
-
 def test_index_is_saved_with_its_network(
     reranked: PoseIndex, with_network: Path, tmp_path: Path
 ) -> None:
@@ -280,27 +269,6 @@ def test_damaged_network_is_refused_in_one_sentence(
     with pytest.raises(ArtefactError, match=said) as error:
         load_index(with_network)
     assert "\n" not in str(error.value)
-
-
-def test_number_of_threads_does_not_matter(reranked: PoseIndex, tmp_path: Path) -> None:
-    """Log-likelihoods on one thread and on two are the same but for their own sums."""
-    save_index(reranked, tmp_path / "index")
-    code = (
-        "import sys, numpy as np\n"
-        "from pathlib import Path\n"
-        "from index.artefact import load_index\n"
-        "from index.network import joint_positions\n"
-        "index = load_index(Path(sys.argv[1]))\n"
-        "seen = index.reranker.network.distributions(index.silhouette(3))\n"
-        "positions = joint_positions(*index.points(np.arange(50)))\n"
-        "print(*seen.log_likelihood(positions).tolist())\n"
-    )
-    answers = []
-    for threads in ("1", "2"):
-        limits = {"OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        said = output_of(sys.executable, "-c", code, tmp_path / "index", **limits)
-        answers.append([float(word) for word in said.split()])
-    assert_allclose(*answers, rtol=1e-12)
 
 
 def written(folder: Path, array: NDArray[np.generic], *, compressed: bool) -> tuple[Path, str]:

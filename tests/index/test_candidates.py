@@ -20,7 +20,6 @@ from index.candidates import (
     silhouette_rotations,
 )
 from index.search import NearestEntries
-from index.skeleton import POINTS
 from index.store import PoseIndex
 
 ATOL = 1e-4
@@ -107,12 +106,6 @@ def test_candidates_are_the_nearest_entries_and_mirror_images(
         entry = toy_index.entry(entry_id, mirrored=mirrored)
         assert_array_equal(found.points_3d[row], entry.points_3d)
         assert_array_equal(found.points_normalised[row], entry.points_normalised)
-
-
-def test_finds_at_most_all_entries_and_their_mirror_images(toy_index: PoseIndex) -> None:
-    found = find_candidates(toy_index, [RotatedQuery.of(toy_index.silhouette(0), 0.0)], 10**6)
-    assert_array_equal(np.bincount(found.entry_ids), np.full(len(toy_index), 2))
-    assert found.points_3d.shape == (len(found), POINTS, 3)
 
 
 def test_candidates_of_several_rotations_come_once_and_in_order(toy_index: PoseIndex) -> None:

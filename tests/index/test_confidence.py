@@ -37,15 +37,6 @@ def test_probabilities_of_extreme_features() -> None:
     assert ((probability >= 0) & (probability <= 1)).all()
 
 
-@pytest.mark.parametrize("feature", range(COUNT))
-def test_probability_grows_with_a_feature_of_positive_weight(feature: int) -> None:
-    weights = np.zeros(COUNT)
-    weights[feature] = 0.7
-    features = np.zeros((10, COUNT))
-    features[:, feature] = np.arange(10)
-    assert (np.diff(Calibration(tuple(weights.tolist()), 0.0).probability(features)) > 0).all()
-
-
 def test_calibration_over_other_features_is_refused() -> None:
     parameters = {"features": ["shoe_size"], "weights": [1.0], "bias": 0.0}
     with pytest.raises(ValueError, match="got one over shoe_size"):

@@ -11,7 +11,6 @@ from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
 from index.landmarks import NormalisedLandmarks
 from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis, match
-from index.posture import PostureName
 from index.skeleton import (
     JOINTS,
     camera_rotation,
@@ -171,17 +170,6 @@ class TestRolledQueries:
 
 
 class TestPostures:
-    def test_lying_and_standing_entries_are_classified(self, ground_index: PoseIndex) -> None:
-        actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
-        postures: dict[str, list[PostureName]] = {"lying": [], "standing": []}
-        for number in range(0, len(ground_index), 13):
-            roll_deg = roll_of(ground_index, number)
-            roll_deg = roll_deg if abs(roll_deg) > 30 else 0.0
-            found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
-            postures["lying" if actions[number] > 1 else "standing"].append(found.posture)
-        for posture, answers in postures.items():
-            assert np.mean([answer == posture for answer in answers]) > 0.9
-
     @pytest.mark.parametrize("quarter", [-90.0, 90.0])
     def test_standing_entry_in_a_picture_rotated_by_90_degrees_is_lying(
         self, ground_index: PoseIndex, quarter: float
@@ -234,58 +222,9 @@ def test_landmarks_decide_between_left_and_right(
     assert np.mean(correct) > 0.9
 
 
-@pytest.mark.parametrize("number", [40, 300])
-@pytest.mark.parametrize("lean", [-30.0, 15.0, 45.0])
-def test_tilt_of_a_leaning_person(toy_index: PoseIndex, number: int, lean: float) -> None:
-    silhouette, inverse = rotate_silhouette(toy_index.silhouette(number), lean)
-    entry = toy_index.entry(number)
-    leaning = (entry.points_normalised - inverse[:, 2]) @ np.linalg.inv(inverse[:, :2]).T
-    landmarks = landmarks_of(leaning, rotate_clockwise(entry.points_3d, lean))
-    best = likeliest(match(toy_index, silhouette, 7, landmarks))
-    assert abs(best.tilt_deg - lean) < 20
-    assert joint_error(best.points_normalised, leaning) < 4
-    # Rotated upright, its outline is nearly that of the entry.
-    assert best.outline_distance_px < 4
-
-
-def test_uninformative_silhouette_is_matched_by_landmarks(toy_index: PoseIndex) -> None:
-    """A full rectangle, within which only the landmarks show a pose."""
-    body = np.ones((128, 48), np.uint8)
-    for number in (40, 301, 500):
-        joints = toy_index.entry(number).points_normalised[:JOINTS]
-        seen = likeliest(match(toy_index, body, 7, landmarks_of_entry(toy_index, number)))
-        assert joint_error(seen.points_normalised, joints) < 5
-        by_silhouette = best_hypotheses(toy_index, body, 7)
-        errors = [joint_error(one.points_normalised, joints) for one in by_silhouette]
-        assert joint_error(seen.points_normalised, joints) < min(errors)
-
-
 def same(one: PoseHypothesis, other: PoseHypothesis) -> bool:
     """Whether two hypotheses are equal to the last bit."""
     return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
-
-
-@pytest.mark.parametrize(("fewer", "more"), [(3, 7), (7, 14), (10, 20), (1, 50)])
-@pytest.mark.parametrize("number", [9, 301])
-@pytest.mark.parametrize("evidence", ["silhouette", "landmarks", "landmarks, not whole"])
-def test_first_hypotheses_do_not_depend_on_the_number(
-    toy_index: PoseIndex, fewer: int, more: int, number: int, evidence: str
-) -> None:
-    landmarks = None if evidence == "silhouette" else landmarks_of_entry(toy_index, number)
-    few, many = (
-        match(
-            toy_index, toy_index.silhouette(number), n, landmarks,
-            whole=evidence != "landmarks, not whole",
-        )
-        for n in (fewer, more)
-    )  # fmt: skip
-    # Few poses of a small index agree with exact landmarks.
-    assert len(few.hypotheses) >= min(fewer, 7)
-    assert len(many.hypotheses) >= len(few.hypotheses[:fewer])
-    for one, other in zip(few.hypotheses[:fewer], many.hypotheses, strict=False):
-        assert same(one, other)
-    shared = min(fewer, len(few.hypotheses))
-    assert np.array_equal(few.features[:shared], many.features[:shared])
 
 
 @pytest.mark.parametrize("number", [40, 301, 500])
@@ -329,23 +268,3 @@ def test_rotated_person_has_the_rotated_pose(
     for found in (as_it_is, stood_up):
         assert joint_error(found.points_3d, expected) < 0.2
         assert abs(wrap_degrees(found.tilt_deg - angle - entry.roll_deg)) < 15
-
-
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_landmarks_find_entries_that_were_rolled_upright(
-    ground_index: PoseIndex, mirrored: bool
-) -> None:
-    actions = ground_index.skeleton_labels["action"][ground_index.entries["skeleton"]]
-    rolled = np.flatnonzero((np.abs(ground_index.entries["roll_deg"]) > 30) & (actions > 1))[::31]
-    same = []
-    for number in rolled.tolist():
-        entry = ground_index.entry(number, mirrored=mirrored)
-        silhouette = ground_index.silhouette(number)
-        if mirrored:
-            silhouette = np.ascontiguousarray(silhouette[:, ::-1])
-        landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
-        best = likeliest(match(ground_index, silhouette, 5, landmarks, roll_deg=entry.roll_deg))
-        same.append((best.entry_id, best.mirrored) == (number, mirrored))
-        expected = rotate_clockwise(entry.points_3d, -entry.roll_deg)
-        assert joint_error(best.points_3d, expected) < 0.1
-    assert np.mean(same) > 0.8

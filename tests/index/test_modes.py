@@ -76,18 +76,6 @@ def test_modes_are_distinct_and_keep_bone_lengths(
     assert_allclose(bone_lengths(modes.points_3d), centre_lengths, rtol=1e-6)
 
 
-def test_equal_candidates_make_one_mode() -> None:
-    rng = np.random.default_rng(0)
-    found = candidates_of(
-        rng.normal(size=6), rng.normal(size=(9, 6)), np.tile(some_pose(), (9, 1, 1))
-    )
-    modes = find_modes(found, 5)
-    # An average of equal weights summing to one up to rounding, in single precision.
-    assert modes.votes == pytest.approx([1])
-    assert_allclose(modes.points_3d, some_pose()[None], atol=1e-6)
-    assert_allclose(modes.points_normalised, 100 * some_pose()[None, :, :2], atol=1e-4)
-
-
 def test_denser_mode_comes_first() -> None:
     poses = np.stack([some_pose(1)] * 3 + [some_pose(2)] * 7)
     angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)

@@ -152,18 +152,6 @@ def test_likelihood_is_interpolated_between_bins() -> None:
     assert_allclose(steps, steps[0], rtol=1e-3)
 
 
-def test_positions_beyond_the_bins_are_clipped() -> None:
-    seen = certain(0, 71, 31)
-    ends, beyond = joints(0, 71, 31), joints(-20, 200, 90)
-    assert_allclose(seen.log_likelihood(ends), seen.log_likelihood(beyond), rtol=1e-6)
-
-
-def test_expected_errors_of_a_certain_network_are_distances() -> None:
-    seen = certain(10, 40, 16)
-    # Three and four bins of 2 pixels.
-    assert seen.expected_errors(joints(13, 44, 20)) == pytest.approx(10, abs=0.1)
-
-
 def test_expected_errors_equal_those_of_random_draws(
     network: JointNetwork, toy_index: PoseIndex
 ) -> None:

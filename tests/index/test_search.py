@@ -149,19 +149,6 @@ def test_landmark_search_equals_comparing_with_each_entry(
     assert (np.diff(found.distances) >= 0).all()
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
-def test_entries_rolled_to_stand_are_found_as_they_lie(
-    ground_index: PoseIndex, mirrored: bool
-) -> None:
-    limbs = upright_limbs(ground_index)
-    for number in np.flatnonzero(np.abs(ground_index.entries["roll_deg"]) > 30)[::40].tolist():
-        limbs_3d = mirrored_limbs(limbs[number]) if mirrored else limbs[number]
-        found = ground_index.landmark_search.nearest(limbs_3d, (0.0,), 3)
-        assert found.distances[0] < 2 * STEP
-        same = (found.entry_ids == number) & (found.mirrored == mirrored)
-        assert found.distances[same] == pytest.approx(found.distances[0], abs=2 * STEP)
-
-
 @given(seed=st.integers(0, 9999), scale=st.floats(0.1, 9), x=st.floats(-50, 50))
 def test_place_and_size_of_a_person_do_not_matter(seed: int, scale: float, x: float) -> None:
     limbs = some_limbs(seed)

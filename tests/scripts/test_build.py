@@ -59,13 +59,3 @@ def test_an_input_is_no_place_for_the_index(
 def test_a_link_to_an_input_is_none_either(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (home / "link").symlink_to(home / "mocap")
     assert "apart from --mocap" in refusal(home, monkeypatch, "--out", "link")
-
-
-def test_photographs_survive(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = refusal(home, monkeypatch, "--out", "photographs")
-    assert "such as 1.jpg" in said
-
-
-def test_a_file_survives(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said = refusal(home, monkeypatch, "--out", "photographs/1.jpg")
-    assert "got the file" in said

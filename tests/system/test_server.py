@@ -61,19 +61,6 @@ def test_overload_is_refused_at_once(narrow: Server, slow_frame: bytes) -> None:
     assert value(narrow, "pose_rejected_total", reason="overloaded") == len(refused)
 
 
-def test_frames_of_disconnected_clients_are_dropped(narrow: Server, slow_frame: bytes) -> None:
-    def ask_and_hang_up(_: int) -> None:
-        with pytest.raises(httpx.ReadTimeout):
-            httpx.post(f"{narrow.url}/pose", files={"frame": slow_frame}, timeout=0.06)
-
-    with ThreadPoolExecutor(3) as clients:
-        list(clients.map(ask_and_hang_up, range(3)))
-    eventually(lambda: value(narrow, "pose_in_flight") == 0)
-    assert value(narrow, "pose_rejected_total", reason="client_gone") >= 2
-    # Two of the three never got further than the queue.
-    assert value(narrow, "pose_stage_seconds_count", stage="total") <= 1
-
-
 def test_sigterm_finishes_all_frames_and_exits_with_status_0(
     index_path: Path, slow_frame: bytes
 ) -> None:

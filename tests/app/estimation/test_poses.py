@@ -113,24 +113,6 @@ def test_landmarks_map_back_to_the_frame(angle: float) -> None:
     assert_allclose(rotate_clockwise(landmarks.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
 
 
-@given(
-    angle=st.floats(-180, 180),
-    points=st.lists(st.tuples(st.floats(-50, 100), st.floats(-50, 200)), min_size=2, max_size=4),
-)
-def test_transform_to_the_frame_is_a_rotation_and_a_scale(
-    angle: float, points: list[tuple[float, float]]
-) -> None:
-    one = person(angle)
-    scale = np.sqrt(np.linalg.det(one.to_frame[:, :2]))
-    places = np.array(points)
-    expected = scale * (places - places[0])
-    turn = np.deg2rad(one.roll_deg)
-    # The roll undone: counterclockwise, y down.
-    expected = expected @ np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    in_frame = one.points_in_frame(places)
-    assert_allclose(in_frame - in_frame[0], expected, atol=1e-6)
-
-
 @ANY_DEG
 def test_silhouette_maps_back_to_the_frame(angle: float) -> None:
     silhouette = silhouette_of(standing(), angle)

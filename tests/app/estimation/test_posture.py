@@ -14,7 +14,6 @@ from app.estimation.posture import (
     PostureFilter,
     estimate_posture,
     likeliest_posture,
-    posture_of,
     shares_of,
     vote_posture,
 )
@@ -87,13 +86,6 @@ def test_unlikely_person_is_unclear() -> None:
     found = estimate_posture(vote_posture(["lying"], [0.9]), None, presence=0.02)
     assert found.label == "unclear"
     assert found.probability < 0.05
-
-
-@given(weights=st.lists(st.floats(0.001, 1), min_size=2, max_size=10))
-def test_posture_is_reported_from_a_probability_of_one_half(weights: list[float]) -> None:
-    found = posture_of(vote_posture(POSTURES[: len(weights)], weights))
-    assert 0 <= found.probability <= 1
-    assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)
 
 
 NARROW, WIDE = Box(0, 0, 40, 160), Box(0, 0, 160, 40)

@@ -209,11 +209,6 @@ class TestParts:
             for event in end.values():
                 event.set()
 
-    def test_a_part_may_be_divided(self) -> None:
-        executor = executor_of(2)
-        found = executor.map(lambda row: executor.map(lambda n: row * n, range(3)), range(3))
-        assert found == [[0, 0, 0], [0, 1, 2], [0, 2, 4]]
-
     async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
         meeting = threading.Barrier(2, timeout=10)  # Needs two threads.

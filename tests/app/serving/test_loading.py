@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-from pathlib import Path
-
 import pytest
 from fastapi.testclient import TestClient
 
@@ -12,7 +9,6 @@ from app.main import create_app
 from app.photograph import Estimator
 from app.serving import loading
 from app.settings import Settings
-from app.vision import models
 from tests.support.service import check_problem, eventually
 
 
@@ -39,18 +35,3 @@ def test_probes_report_any_error_in_loading(
         assert response.status_code == 503
         assert "internals" not in response.text
         assert "ZeroDivisionError" in caplog.text
-
-
-def test_an_altered_network_is_reported_and_not_served(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    """``python -m app`` ends at once (see test_models.py); started otherwise, probes report it."""
-    folder = tmp_path / "weights"
-    shutil.copytree(models.FOLDER, folder)
-    network = folder / "movenet_multipose.tflite"
-    network.write_bytes(network.read_bytes()[:1000])
-    monkeypatch.setattr(models, "FOLDER", folder)
-    expected = "movenet_multipose.tflite to have the SHA-256"
-    with TestClient(create_app(settings)) as client:
-        eventually(lambda: expected in check_problem(client.get("/readyz"), 503))
-        assert client.post("/pose", files={"frame": b"x"}).status_code == 503

@@ -86,13 +86,6 @@ def test_person_is_detected_and_cut_out(empty: np.ndarray) -> None:
     assert iou(one.mask(frame.shape), person) > 0.85
 
 
-def test_unchanged_scene_is_empty(empty: np.ndarray) -> None:
-    assert not foreground(empty, empty).any()
-    assert BackgroundSegmenter(empty).detect(empty) == []
-    black = np.zeros_like(empty)
-    assert not foreground(black, black).any()
-
-
 def test_background_of_another_size_is_refused(empty: np.ndarray) -> None:
     with pytest.raises(ValueError, match="background of shape"):
         foreground(empty[:-1], empty)

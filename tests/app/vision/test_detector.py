@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -49,27 +47,12 @@ def test_walkers_are_detected_and_nothing_else(
         assert max(box.iou(person) for person in (*walkers, *far_walkers)) > 0.4
 
 
-def test_large_frame_is_searched_at_reduced_size(
-    make_network_detector: Make, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    large = cv2.resize(street, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
-    detector = make_network_detector(min_person_px=200)
-    assert found_share(detector, large, [box.scaled(4) for box in walkers]) == 1
-
-
 @pytest.mark.parametrize("shape", [(1, 1, 3), (60, 45, 3), (20, 900, 3), (700, 20, 3)])
 @pytest.mark.parametrize("level", [0, 90, 255])
 def test_blank_frames_hold_nobody(
     detector: NetworkDetector, shape: tuple[int, ...], level: int
 ) -> None:
     assert detector.detect(np.full(shape, level, np.uint8)) == []
-
-
-def test_threads_agree(detector: NetworkDetector, street: NDArray[np.uint8]) -> None:
-    expected = scores_of(detector, street)
-    with ThreadPoolExecutor(4) as pool:
-        for found in pool.map(lambda _: scores_of(detector, street), range(6)):
-            assert found == expected
 
 
 def test_scores_below_the_minimum_are_left_out(
@@ -255,11 +238,3 @@ def test_frames_of_any_size_take_a_bounded_time(
 @pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (7, 7)])
 def test_thin_frames_are_not_searched(frame: tuple[int, int]) -> None:
     assert tiles_of(*frame, 50) == []
-
-
-@pytest.mark.parametrize("frame", [(298, 320), (640, 480), (1280, 720), (200, 2000)])
-def test_rotated_frame_has_rotated_tiles(frame: tuple[int, int]) -> None:
-    here, there = tiles_of(*frame, 40), tiles_of(*frame[::-1], 40)
-    assert seen_px(here) == pytest.approx(seen_px(there), rel=0.02)
-    transposed = [tuple(tile.rect[i] for i in (1, 0, 3, 2)) for tile in there]
-    assert sorted(transposed) == sorted(tile.rect for tile in here)

@@ -22,7 +22,7 @@ from app.vision.geometry import (
     sample_window,
     transform_points,
 )
-from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, ROLLS, SIDES
+from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, SIDES
 
 boxes = st.builds(Box, *[st.floats(-50, 50)] * 2, *[st.floats(0.5, 60)] * 2)
 box_arrays = st.lists(boxes, min_size=1, max_size=9).map(box_array)
@@ -43,11 +43,6 @@ def test_clipped_box_lies_inside_the_frame(box: Box) -> None:
     else:
         assert clipped.x >= -0.5 and clipped.right <= 39.5 + 1e-9 and clipped.bottom <= 29.5 + 1e-9
         assert clipped.area <= box.area + 1e-6
-
-
-@given(boxes, st.floats(0.2, 5))
-def test_scaling_can_be_undone(box: Box, factor: float) -> None:
-    assert_allclose(box_array([box.scaled(factor).scaled(1 / factor)]), box_array([box]), atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -102,18 +97,6 @@ def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     assert (angle - window.roll_deg + 180) % 360 == pytest.approx(180, abs=1e-6)
 
 
-@given(x=PLACES, y=PLACES, side=SIDES, roll_deg=ROLLS, quarter_turns=st.integers(0, 3))
-def test_rotated_window_shows_the_same_of_a_rotated_frame(
-    x: float, y: float, side: float, roll_deg: float, quarter_turns: int
-) -> None:
-    """Clockwise about the frame's origin."""
-    turn = np.linalg.matrix_power(np.array([[0.0, -1.0], [1.0, 0.0]]), quarter_turns)
-    rotated = PersonWindow(*(turn @ [x, y]).tolist(), side, roll_deg + 90 * quarter_turns)
-    points = np.array([[0.0, 0.0], [63, 0], [63, 63], [12, 40]])
-    here = transform_points(PersonWindow(x, y, side, roll_deg).to_frame(64), points)
-    assert_allclose(transform_points(rotated.to_frame(64), points), here @ turn.T, atol=1e-6)
-
-
 @given(x=PLACES, y=PLACES, radius=SIDES, roll_deg=st.floats(-179, 179))
 def test_window_about_a_circle_has_its_top_point_above_the_middle(
     x: float, y: float, radius: float, roll_deg: float
@@ -150,14 +133,6 @@ def test_crop_is_zero_beyond_the_image(left: int, top: int, width: int, height: 
     assert_array_equal(crop(noise(30, 40), rect), padded_crop(noise(30, 40), *rect))
 
 
-@pytest.mark.parametrize(("down", "across"), [(2, 2), (4, 4), (8, 2), (1, 4)])
-def test_shrinking_averages_areas(down: int, across: int) -> None:
-    image = noise(32, 64)
-    blocks = image.reshape(32 // down, down, 64 // across, across, 3).mean(axis=(1, 3))
-    # Each halving rounds.
-    assert np.abs(resize(image, 64 // across, 32 // down) - blocks).max() <= 1.5
-
-
 @given(
     rows=st.integers(1, 90), columns=st.integers(1, 90),
     height=st.integers(1, 90), width=st.integers(1, 90),
@@ -171,21 +146,6 @@ def test_a_resized_ramp_is_a_ramp_in_the_same_place(
     resized = resize(ramp, width, height)
     assert resized.shape == (height, width)
     assert np.abs(resized - np.add.outer(y, x)).max() <= 2.5
-
-
-@given(
-    left=st.integers(-12, 12), top=st.integers(-12, 12),
-    columns=st.integers(1, 20), rows=st.integers(1, 20),
-)  # fmt: skip
-def test_large_crops_equal_small_ones_at_whole_factors(
-    left: int, top: int, columns: int, rows: int
-) -> None:
-    rect = (4 * left, 4 * top, 4 * columns, 4 * rows)
-    small, large = (
-        crop_and_resize(noise(20, 28), rect, columns, rows, max_crop_px)
-        for max_crop_px in (2**22, 0)
-    )
-    assert_array_equal(small, large)
 
 
 @given(
@@ -225,17 +185,6 @@ def test_window_rotated_by_quarter_turns_shows_rotated_pixels(quarter_turns: int
         for turns in (0, quarter_turns)
     )
     assert_array_equal(rotated, np.rot90(upright, quarter_turns))
-
-
-@given(window=PERSON_WINDOWS)
-def test_windows_of_a_plain_frame_are_plain(window: PersonWindow) -> None:
-    """At any size: averaging before sampling neither brightens nor darkens."""
-    plain = np.full((90, 120, 3), 200, np.uint8)
-    assert sample_window(plain, window, 32).max() <= 200
-    margin = window.side / 16 + 2
-    corners = window.corners()
-    if (corners >= margin).all() and (corners <= [119 - margin, 89 - margin]).all():
-        assert (sample_window(plain, window, 32) == 200).all()
 
 
 @pytest.mark.parametrize("roll_deg", [0.0, 35.0, 180.0])

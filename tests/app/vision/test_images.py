@@ -305,18 +305,6 @@ def test_stored_values_of_a_mask_are_kept(data: bytes, expected: list[int]) -> N
     assert decode_mask(data, max_pixels=LIMIT).labels.tolist() == [expected]
 
 
-@pytest.mark.parametrize("orientation", UPRIGHT)
-def test_exif_orientation_is_applied_to_palette_images(orientation: int) -> None:
-    image = Image.fromarray(np.array([[0, 1, 2], [0, 3, 3]], np.uint8), "P")
-    image.putpalette(range(48))
-    buffer, exif = io.BytesIO(), Image.Exif()
-    exif[0x112] = orientation
-    image.save(buffer, "PNG", exif=exif)
-    decoded = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
-    expected = UPRIGHT[orientation](np.asarray(image)[..., None])[..., 0]
-    assert decoded.labels.tolist() == expected.tolist()
-
-
 @pytest.mark.parametrize("extension", ["JPEG", "TIFF"])
 def test_lossy_mask_is_one_person(extension: str) -> None:
     mask = np.zeros((64, 64), np.uint8)
@@ -325,16 +313,6 @@ def test_lossy_mask_is_one_person(extension: str) -> None:
     Image.fromarray(mask).save(buffer, extension, compression="jpeg")
     decoded = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
     assert (decoded.labels == (mask > 0)).all()
-
-
-@pytest.mark.parametrize("orientation", UPRIGHT)
-def test_exif_orientation_is_applied_to_masks(orientation: int) -> None:
-    stored = np.zeros((40, 60), np.uint8)
-    stored[:10, :50] = 255
-    data = with_orientation(encode(stored, ".jpg"), orientation)
-    mask = decode_mask(data, max_pixels=LIMIT)
-    expected = UPRIGHT[orientation](stored[..., None])[..., 0] > 0
-    assert ((mask.labels == 1) == expected).mean() > 0.95
 
 
 def test_alpha_counts_where_all_else_is_black() -> None:

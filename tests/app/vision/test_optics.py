@@ -47,12 +47,6 @@ def test_projecting_undoes_a_ray(fov_deg: float, point: np.ndarray) -> None:
     assert_allclose(ray, point, atol=1e-9)
 
 
-def test_the_frame_spans_its_field_of_view() -> None:
-    camera = PinholeCamera.of_frame(SHAPE, 90)
-    left, right = camera.rays(np.array([[-0.5, 0], [1279.5, 0]]))
-    assert left[0] == pytest.approx(-1) and right[0] == pytest.approx(1)
-
-
 def test_sixty_degrees_are_assumed_along_the_longer_side() -> None:
     wide, high = PinholeCamera.of_frame((720, 1280)), PinholeCamera.of_frame((1280, 720))
     assert_allclose(wide.focal, high.focal)

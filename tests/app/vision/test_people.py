@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from app.vision.geometry import Box
 from app.vision.people import (
@@ -22,7 +20,6 @@ from app.vision.people import (
 )
 from index.skeleton import COCO17
 
-numbers = st.floats(-50, 50)
 MASK = np.zeros((4, 6), bool)
 MASK[1, 2:4] = MASK[2, 2] = True
 
@@ -36,19 +33,6 @@ def test_silhouette_is_a_tight_crop() -> None:
     assert one.box == Box(1.5, 0.5, 2, 2)
     assert (one.mask(MASK.shape) == MASK).all()
     assert silhouette_from_mask(MASK & False, segmenter="mask") is None
-
-
-@given(factor=st.floats(0.1, 9), x=numbers, y=numbers)
-def test_keypoints_are_scaled_and_moved_like_a_box(factor: float, x: float, y: float) -> None:
-    """A keypoint in a corner of a box stays there."""
-    box = Box(x, y, 20, 30)
-    corner = ObservedKeypoints(np.tile([box.right, box.y], (17, 1)), np.ones(17))
-    moved = corner.scaled(factor).moved(x, y)
-    scaled = box.scaled(factor)
-    assert moved.positions[3] == pytest.approx([scaled.right + x, scaled.y + y], abs=1e-6)
-    again = moved.moved(-x, -y).scaled(1 / factor)
-    assert again.positions == pytest.approx(corner.positions, abs=1e-6)
-    assert again.scores is corner.scores
 
 
 def test_coco_keypoints_are_the_landmarks_of_their_names() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
 from app.estimation.finder import distinct_bodies
@@ -133,14 +132,6 @@ def test_pixel_claimed_by_two_goes_to_the_surer() -> None:
     assert (masks[1] == (both[1] & (columns > middle)))[middling].all()
 
 
-def test_the_order_of_people_does_not_matter() -> None:
-    boxes = [Box(49.5, 29.5, 80, 180), Box(99.5, 49.5, 80, 170), Box(150.5, 9.5, 60, 180)]
-    forwards, backwards = cut_out(boxes), cut_out(boxes[::-1])[::-1]
-    for one, other in zip(forwards, backwards, strict=True):
-        differ = mask_of(one, SHAPE) ^ mask_of(other, SHAPE)
-        assert differ.sum() <= 0.01 * mask_of(one, SHAPE).sum()
-
-
 def test_inexact_box_is_widened_to_visible_limbs() -> None:
     body, found = Box(99.5, 19.5, 80, 200), Box(119.5, 59.5, 40, 120)
     reading = painted(body)
@@ -243,18 +234,6 @@ def test_small_components_are_dropped() -> None:
     assert not keep_components(mask & False, 0.2).any()
 
 
-@given(mask=arrays(bool, st.tuples(st.integers(1, 12), st.integers(1, 12))), share=st.floats(0, 1))
-def test_filling_only_adds_and_keeping_only_drops(mask: NDArray[np.bool_], share: float) -> None:
-    filled, kept = fill_small_holes(mask, share), keep_components(mask, share)
-    assert (filled >= mask).all()
-    assert (kept <= mask).all()
-    assert kept.any() == mask.any()
-    # What reaches the border is no hole.
-    edge = np.ones_like(mask)
-    edge[1:-1, 1:-1] = False
-    assert (filled[edge] == mask[edge]).all()
-
-
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
     return Silhouette(np.ones((height, width), bool), left, top, "mask", False)
 
@@ -281,15 +260,6 @@ def test_silhouette_just_short_of_the_edge_is_cut_unless_from_a_mask(left: int, 
     assert not touches_border(replace(person, segmenter="mask"), (300, 300))
     inwards = np.clip([left, top], 10, [250, 190]).tolist()
     assert not touches_border(replace(person, left=inwards[0], top=inwards[1]), (300, 300))
-
-
-@given(left=st.integers(0, 260), top=st.integers(0, 200), name=st.sampled_from(["mask", "network"]))
-def test_mirrored_silhouette_is_cut_alike(left: int, top: int, name: str) -> None:
-    one = replace(block(left, top, 40, 100), segmenter=name)  # type: ignore[arg-type]
-    mirrored = [replace(one, left=260 - left), replace(one, top=200 - top)]
-    assert {touches_border(other, (300, 300)) for other in mirrored} == {
-        touches_border(one, (300, 300))
-    }
 
 
 def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:

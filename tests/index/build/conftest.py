@@ -97,7 +97,7 @@ def ground_simulation(poses: Poses, laid: Poses, avatars: list[Avatar]) -> Simul
 
 @pytest.fixture(scope="session")
 def ground_index(ground_simulation: Simulation) -> PoseIndex:
-    """An index of box bodies of which most lie: wide ones were rolled."""
+    """An index of box bodies, most of them lying: wide ones were rolled."""
     return index_of(ground_simulation, "ground")
 
 

@@ -20,7 +20,6 @@ from index.build.body import (
     posed_points,
     retarget,
     rotation_between,
-    strongest,
     turned_to_front,
 )
 from index.build.motion import Clip, read_clip
@@ -53,16 +52,6 @@ def test_rotation_between_turns_one_direction_into_the_other(
 def test_rotation_between_refuses_opposite_directions() -> None:
     with pytest.raises(ValueError, match="less than 180 degrees apart"):
         rotation_between(np.array([0.0, 1, 0]), np.array([0.0, -2, 0]))
-
-
-@given(degrees=st.floats(-179, 179), tilt=st.floats(-80, 80))
-def test_facing_yaw_ignores_bending_over(degrees: float, tilt: float) -> None:
-    angle = np.deg2rad(tilt)
-    bend = np.array(
-        [[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]]
-    )
-    pelvis = yaw_matrix(degrees) @ bend
-    assert np.rad2deg(facing_yaw(pelvis[None]))[0] == pytest.approx(degrees, abs=1e-6)
 
 
 @given(degrees=st.floats(-360, 360))
@@ -125,26 +114,6 @@ def test_limbs_point_where_the_motion_says(tmp_path: Path, avatars: list[Avatar]
     assert_allclose(up / np.linalg.norm(up), (0, 1, 0), atol=1e-6)
     forward = joints["right_wrist"] - joints["right_elbow"]
     assert_allclose(forward / np.linalg.norm(forward), (0, 0, 1), atol=1e-6)
-
-
-def test_toes_without_length_lie_as_the_foot_does(zero_clip: Clip, avatars: list[Avatar]) -> None:
-    toe = zero_clip.bones.index("LeftToeBase")
-    tips = zero_clip.tips.copy()
-    tips[toe] = 0
-    retargeting = retarget(replace(zero_clip, tips=tips), avatars[0])
-    bone = avatars[0].bones.index("LeftToeBase")
-    foot = avatars[0].bones.index("LeftFoot")
-    assert_array_equal(retargeting.alignment[bone], retargeting.alignment[foot])
-
-
-def test_strongest_keeps_the_largest_shares() -> None:
-    weights = np.random.default_rng(0).random((6, 12)).astype(np.float32)
-    influences, shares = strongest(weights)
-    assert influences.shape == shares.shape == (6, 8)
-    assert_allclose(shares.sum(axis=1), 1, rtol=1e-6)
-    assert (np.diff(shares, axis=1) <= 0).all()
-    for row in range(6):
-        assert set(influences[row]) == set(np.argsort(weights[row])[-8:])
 
 
 def test_compact_drops_unused_vertices_only(avatars: list[Avatar]) -> None:

@@ -63,15 +63,6 @@ def test_truth_is_what_a_camera_sees_that_is_not_rolled(
     assert_allclose(queries.joints_3d, bodies @ cameras.swapaxes(1, 2), atol=1e-5)
 
 
-def test_taken_and_degraded_queries_keep_their_roll(queries: Queries) -> None:
-    rows = np.array([3, 200, 7])
-    some = queries.take(rows)
-    for one in (some, some.degraded(0), some.half_degraded(0)):
-        assert_array_equal(one.roll_deg, queries.roll_deg[rows])
-        assert_array_equal(one.joints_3d, queries.joints_3d[rows])
-    assert_array_equal(some.half_degraded(0).silhouettes[::2], some.silhouettes[::2])
-
-
 def test_known_silhouettes_are_answered_as_the_camera_saw_them(
     queries: Queries, trial: Trial
 ) -> None:
@@ -95,8 +86,3 @@ def test_missing_hypotheses_have_no_posture(ground_index: PoseIndex, queries: Qu
     missing = ~np.isfinite(few.error_px)
     assert missing.any() and not missing.all()
     assert_array_equal(few.postures == -1, missing)
-
-
-def test_answers_to_some_queries(trial: Trial) -> None:
-    right = trial.right[:, 0]
-    assert_array_equal(trial.take(right).error_m, trial.error_m[right])

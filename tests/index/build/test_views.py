@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_array_equal
 
 from index.build.views import DISTANCES_M, ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
 
@@ -32,14 +31,3 @@ def test_views_of_a_pose_surround_it(seed: int, count: int) -> None:
     gaps = np.diff(np.append(azimuths, azimuths[0] + 360))
     # One in each stratum of 360 / count: neighbours are at most two strata apart.
     assert gaps.max() <= 2 * 360 / count + 1e-3
-
-
-def test_bodies_near_the_ground_are_looked_down_on() -> None:
-    assert GROUND_ELEVATIONS_DEG[0] > 0
-    ground, usual = (
-        sample_views(2000, np.random.default_rng(0), elevations_deg)
-        for elevations_deg in (GROUND_ELEVATIONS_DEG, ELEVATIONS_DEG)
-    )
-    assert (ground["elevation_deg"] > usual["elevation_deg"]).all()
-    for other in ("azimuth_deg", "roll_deg", "distance"):
-        assert_array_equal(ground[other], usual[other])

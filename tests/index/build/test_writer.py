@@ -41,11 +41,6 @@ class TestReplacing:
         assert (tmp_path / "current").is_symlink()
         assert load_index(saved).name == "newer"
 
-    def test_an_empty_folder_is_filled(self, toy_index: PoseIndex, tmp_path: Path) -> None:
-        (tmp_path / "empty").mkdir()
-        save_index(toy_index, tmp_path / "empty")
-        assert load_index(tmp_path / "empty").name == toy_index.name
-
 
 class TestWhatIsNoIndex:
     """A folder with anything else in it is refused, and stays as it is."""
@@ -158,11 +153,6 @@ def noise() -> np.ndarray:
     return pack(np.random.default_rng(0).integers(0, 2, (100, 128, 48), np.uint8))
 
 
-def test_outlines_compress_several_times(toy_index: PoseIndex) -> None:
-    stored = toy_index.silhouette_store
-    assert len(stored.data) < len(stored) * 768 / 3
-
-
 def test_silhouettes_compress_block_by_block(
     noise: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -194,10 +184,6 @@ class TestHalved:
         moved = [outline_distances(whole, half[None])[0] for whole, half in pairs]
         assert np.mean(moved) < 0.4
         assert len(fewer.data) < 0.6 * len(stored.data)
-
-    def test_selects_as_before(self, noise: np.ndarray) -> None:
-        fewer, rows = halved(compress(noise)), np.arange(60, 100)
-        assert_array_equal(fewer.select(rows).take(np.arange(40)), fewer.take(rows))
 
     def test_is_not_halved_twice(self, noise: np.ndarray) -> None:
         with pytest.raises(ValueError, match="at full resolution"):

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from scripts.load.bench import camera_calls, interleaved, read_street, sender, without_people
-from scripts.load.client import Call, Client
+from scripts.load.bench import camera_calls, interleaved, read_street
+from scripts.load.client import Call
 
 
 def test_tasks_take_turns_round_by_round() -> None:
@@ -19,31 +18,6 @@ def test_tasks_take_turns_round_by_round() -> None:
     times = interleaved(tasks, rounds=2, repeats=3)
     assert "".join(done) == "aaabbb" * 2
     assert {name: len(one) for name, one in times.items()} == {"a": 6, "b": 6}
-
-
-def test_people_who_walk_by_are_not_in_the_scene() -> None:
-    frames = [np.full((576, 768, 3), 100, np.uint8) for _ in range(5)]
-    for number, frame in enumerate(frames):
-        frame[200:400, 100 * number : 100 * number + 60] = 20
-    scene = without_people(frames)
-    assert scene.shape == (480, 640, 3)
-    assert (scene == 100).all()
-
-
-def test_calls_go_round_and_a_refusal_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    sent: list[str] = []
-
-    def answer(_: Client, call: Call) -> tuple[int, bytes]:
-        sent.append(call.path)
-        return (422, b"no such thing") if len(sent) > 3 else (200, b"{}")
-
-    monkeypatch.setattr(Client, "send", answer)
-    send = sender(Client("http://127.0.0.1:1"), [Call("GET", "/a"), Call("GET", "/b")])
-    for _ in range(3):
-        send()
-    assert sent == ["/a", "/b", "/a"]
-    with pytest.raises(ValueError, match="got 422: no such thing"):
-        send()
 
 
 def test_a_film_goes_back_and_forth_and_its_time_on() -> None:

@@ -190,18 +190,6 @@ def failure(*arguments: str, capsys: Capture) -> str:
     return printed
 
 
-def test_a_hint_names_the_environment_that_is_small(
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture
-) -> None:
-    monkeypatch.delitem(sys.modules, "scripts.watch_camera.command")
-    monkeypatch.setitem(sys.modules, "cv2", None)
-    monkeypatch.delitem(sys.modules, "scripts.watch_camera.source")
-    monkeypatch.delitem(sys.modules, "scripts.watch_camera.service")
-    monkeypatch.delitem(sys.modules, "scripts.watch_camera.bridge")
-    assert main(["watch-camera", "0", "yard"]) == 1
-    assert "`make .venv/.stamp` installs" in capsys.readouterr().err
-
-
 def test_a_stop_is_clean_and_shows_no_password(tmp_path: Path) -> None:
     # Every third run aborted: a thread came back from the decoder to a Python that was ending.
     write_video(tmp_path / "long.avi", noisy_frames(200), fps=100)

@@ -48,7 +48,7 @@ class Ward(NamedTuple):
 
 @pytest.fixture
 def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
-    """A camera, its broker and somebody who listens."""
+    """A camera, its broker and a listener."""
     monkeypatch.setattr(common_module, "WAITS_S", (0.1,))
     monkeypatch.setattr(module, "_RETRY_AFTER_S", 0.1)
     broker = Broker(tmp_path)
