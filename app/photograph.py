@@ -97,13 +97,13 @@ class Estimator:
         """
         unseen = upload.mask is not None and evidence == "silhouette" and not shown
         decoded = self.decode(upload, job, blank=unseen)
-        people = self._find(decoded, evidence, job)
+        people = self.finder.find(decoded, evidence, job)
         return _answer(decoded, self.fit(people, decoded.camera, n, job), job)
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Estimate:
         """Find the people of a frame without their poses; raises like :meth:`estimate`."""
         decoded = self.decode(upload, job)
-        return _answer(decoded, self._find(decoded, evidence, job), job)
+        return _answer(decoded, self.finder.find(decoded, evidence, job), job)
 
     def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
         """Decode the images of an upload, as :meth:`UploadDecoder.decode` does."""
@@ -112,10 +112,6 @@ class Estimator:
             decoded = self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
         return decoded
-
-    def _find(self, decoded: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
-        people = self.finder.find(decoded, evidence, job)
-        return sorted(people, key=lambda person: person.box.x)
 
     def fit(
         self, people: Sequence[Person], camera: PinholeCamera, n: int, job: Job
@@ -129,11 +125,12 @@ class Estimator:
 
 
 def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:
+    from_left = sorted(people, key=lambda person: person.box.x)
     return Estimate(
         frame=decoded.sent,
         camera=decoded.camera,
         warnings=decoded.warnings,
-        persons=tuple(job.map(decoded.pixels.person_sent, people)),
+        persons=tuple(job.map(decoded.pixels.person_sent, from_left)),
         timings_ms=job.timings_ms(),
     )
 

@@ -116,3 +116,9 @@ def test_what_was_tested_is_what_is_installed() -> None:
         asked = Requirement(line)
         (exact,) = held[canonicalize_name(asked.name)].specifier
         assert asked.specifier.contains(exact.version), line
+
+
+def test_every_network_that_ships_is_in_the_notice() -> None:
+    shipped = [path.name for path in (ROOT / "app").rglob("*.tflite")]
+    notice = (ROOT / "NOTICE").read_text()
+    assert shipped and [name for name in shipped if name not in notice] == []

@@ -227,16 +227,3 @@ def test_other_people_in_the_frame_do_not_matter(
     assert first == alone
     assert second["hypotheses"][0]["entry"] == photo.entry
     assert json.dumps(first) != json.dumps(second)
-
-
-@pytest.mark.parametrize("entry", PHOTOS)
-def test_the_place_in_the_frame_does_not_matter(
-    client: TestClient, tiny_index: PoseIndex, entry: int
-) -> None:
-    (here,), (there,) = (
-        persons(client, {"mask": photograph(tiny_index, entry, *place).mask_png})
-        for place in ((150, 40), (33, 91))
-    )
-    for one, other in zip(here["hypotheses"], there["hypotheses"], strict=True):
-        for name in one.keys() - {"joints_2d"}:
-            assert one[name] == other[name], name

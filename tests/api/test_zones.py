@@ -6,15 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import CameraEvents, CameraState
 from app.serving.loading import read_cameras
 from app.settings import SettingsError
-from index.store import PoseIndex
-from tests.conftest import Photo, Serving, photograph, png
+from tests.conftest import Photo, Serving
 from tests.support.service import check_problem, eventually, send
 
 LEFT = {"name": "door", "kind": "watch", "polygon": [[0, 0], [100, 0], [100, 240], [0, 240]]}
@@ -174,22 +172,6 @@ class TestEvents:
 
 
 class TestPeople:
-    def test_people_and_events_name_their_zones(
-        self, client: TestClient, tiny_index: PoseIndex
-    ) -> None:
-        configure(client, LEFT, RIGHT)
-        masks = [photograph(tiny_index, 8, left).mask for left in (20, 200)]
-        response = client.post(
-            "/cameras/yard/frames", files={"mask": png(np.asarray(masks[0] + 2 * masks[1]))}
-        )
-        answer = response.json()
-        assert [person["zones"] for person in answer["persons"]] == [["door"], ["bed"]]
-        events = {event["track_id"]: event for event in answer["events"]}
-        for person in answer["persons"]:
-            event = events[person["track_id"]]
-            assert (event["event"], event["state"]) == ("entered", "instant")
-            assert event["zones"] == person["zones"]
-
     def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:
         away = {"name": "away", "kind": "watch", "polygon": [[400, 0], [500, 0], [450, 90]]}
         assert configure(client, LEFT, away, RIGHT).json()["zones_outside"] == []

@@ -24,7 +24,6 @@ def test_an_input_is_no_output(tmp_path: Path) -> None:
     ("command", "name", "options"),
     [
         ("track-video", "film.avi", ["film.avi"]),
-        ("track-video", "film.avi", ["new.mp4", "--sheet", "film.avi"]),
         ("debug-frame", "person-1.png", ["--out", "."]),
     ],
 )

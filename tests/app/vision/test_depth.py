@@ -31,13 +31,6 @@ def test_a_network_comes_back_from_its_arrays() -> None:
     assert again(features).shape == (6, 3)
 
 
-def test_without_hidden_layers_a_network_is_linear() -> None:
-    network = dense(1, (4, 2))
-    one, other = np.random.default_rng(3).normal(size=(2, 1, 4))
-    middle = network((one + other) / 2)
-    assert_allclose(middle, (network(one) + network(other)) / 2, rtol=1e-4, atol=1e-5)
-
-
 def test_layers_that_do_not_fit_are_refused() -> None:
     one, other = dense(1, (7, 5)), dense(1, (4, 3))
     with pytest.raises(ValueError, match="expected weights of shape"):

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
 from app.vision.detector import (
-    MAX_ENLARGEMENT,
     MAX_FINE_PX,
     MAX_FINE_SIDE_PX,
     MAX_TILE_PX,
@@ -190,20 +189,6 @@ def test_overview_and_tiles_are_within_their_bounds(
         more = 2 * max(tile.factor, 1)
         assert (columns - more) * (rows - more) <= MAX_TILE_PX
         assert max(columns, rows) <= MAX_FINE_SIDE_PX + more
-
-
-@given(width=sides, height=sides, factor=st.floats(1, 9))
-def test_frame_of_more_pixels_costs_no_more_by_default(
-    width: int, height: int, factor: float
-) -> None:
-    tiles = tiles_of(width, height)
-    larger = tiles_of(round(width * factor), round(height * factor))
-    assert len(tiles) <= 1 and len(larger) <= 1
-    assert seen_px(larger) <= math.prod(OVERVIEW_PX)
-    if tiles and tiles[0].factor < MAX_ENLARGEMENT:
-        # Sides are rounded to whole pixels, in the frame and after resizing.
-        slack = 3 * max(*OVERVIEW_PX, width, height)
-        assert seen_px(larger) <= seen_px(tiles) + slack
 
 
 @given(width=sides, height=sides, min_person_px=people)
