@@ -226,10 +226,10 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     share = {"threads": threads, "copies": copies}
     movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
     # Two people read at once take 7 ms each, one after the other 10 ms: threads of one copy wait
-    # for each other after every layer. A copy takes 43 MB; those of the other networks save less.
+    # for each other after every layer. A copy takes 22 MB; those of the other networks save less.
     readers = min(concurrency, cores)
     landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
-    masks = MaskNetwork(network_path("pose_mask"), threads=threads, copies=readers)
+    masks = MaskNetwork(network_path("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
