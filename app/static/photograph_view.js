@@ -118,8 +118,8 @@ export class PhotographView {
       showTerms($("facts"), measured(found));
       showTerms($("supposed"), supposed(hypothesis));
     }
-    $("timings").textContent = `${total.toFixed(0)} ms: ${Object.entries(stages)
-      .map(([stage, ms]) => `${stage} ${ms.toFixed(0)} ms`).join(", ")}`
+    $("timings").textContent = `${total.toFixed(0)}\u00a0ms: ${Object.entries(stages)
+      .map(([stage, ms]) => `${stage} ${ms.toFixed(0)}\u00a0ms`).join(", ")}`
       + (this.#sent ? `; sent at ${this.#sent.width} × ${this.#sent.height}` : "");
     this.#draw();
   }
