@@ -138,6 +138,8 @@ def _write_film(video: Path, folder: Path) -> dict[str, Path]:
 
 def _show(page: Any, file: Path, video: bool) -> None:
     """Give the page a file, wait for the result and turn the skeleton a little, to show depth."""
+    # After the example, which would slow the file down.
+    page.locator("#hypotheses .card").first.wait_for(timeout=TIMEOUT_MS)
     page.set_input_files("#file", str(file))
     if video:
         page.get_by_text("The end, after").wait_for(timeout=TIMEOUT_MS)
