@@ -59,15 +59,6 @@ class TestConfigure:
         assert configure(client).json()["zones"] == []
         check_problem(client.get("/cameras/yard"), 404)
 
-    def test_forgetting_a_camera_forgets_its_zones(self, client: TestClient, photo: Photo) -> None:
-        configure(client, LEFT)
-        send(client, photo)
-        assert client.delete("/cameras/yard").status_code == 204
-        check_problem(client.get("/cameras/yard"), 404)
-        configure(client, LEFT)
-        assert client.delete("/cameras/yard").status_code == 204
-        check_problem(client.delete("/cameras/yard"), 404)
-
     def test_cameras_that_never_sent_a_frame_make_room(
         self, serving: Serving, photo: Photo
     ) -> None:

@@ -73,13 +73,6 @@ def test_detected_people_enter_with_the_first_frame(session: CameraSession) -> N
     assert second.frame_index == 1
 
 
-def test_crossing_people_keep_their_identities(session: CameraSession) -> None:
-    for step in range(20):
-        result = send(session, step / 5, (0, 20 + 12 * step), (1, 260 - 12 * step))
-        boxes = {tracked.track_id: tracked.box.x for tracked in result.persons}
-    assert boxes == {1: pytest.approx(248, abs=6), 2: pytest.approx(32, abs=6)}
-
-
 @pytest.mark.parametrize("first", [0.0, 5.0])
 @pytest.mark.parametrize("step", [0.0, -1.0, float("nan"), 1e-310, 1e-9, 9e-4])
 def test_late_frames_are_refused_and_change_nothing(

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.landmarks import NormalisedLandmarks
 from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis, match
 from index.skeleton import (
     JOINTS,
@@ -19,7 +17,6 @@ from index.skeleton import (
     project,
     rotate_clockwise,
     side_rows,
-    wrap_degrees,
 )
 from index.store import PoseIndex
 from tests.index.conftest import drawn, movement
@@ -169,28 +166,6 @@ class TestRolledQueries:
             assert joint_error(frame - there.points_normalised, here.points_normalised) < 1
 
 
-class TestPostures:
-    @pytest.mark.parametrize("quarter", [-90.0, 90.0])
-    def test_standing_entry_in_a_picture_rotated_by_90_degrees_is_lying(
-        self, ground_index: PoseIndex, quarter: float
-    ) -> None:
-        answers, tilts = [], []
-        for number in range(0, 144, 11):
-            found = best_of(ground_index, ground_index.silhouette(number), -quarter)
-            answers.append(found.posture)
-            tilts.append(found.tilt_deg)
-        # A few rest on an arm or a leg, their trunk off the ground: on all fours.
-        assert np.mean([answer == "lying" for answer in answers]) > 0.8
-        assert not {"standing", "walking"} & set(answers)
-        # The cameras of entries roll a little.
-        assert_allclose(tilts, quarter, atol=10)
-
-
-def landmarks_of_entry(index: PoseIndex, number: int, **changes: float) -> NormalisedLandmarks:
-    entry = index.entry(number)
-    return landmarks_of(entry.points_normalised, entry.points_3d, **changes)
-
-
 def likeliest(found: Match) -> PoseHypothesis:
     best = found.hypotheses[0]
     assert best.distance == min(one.distance for one in found.hypotheses)
@@ -244,27 +219,3 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     # The silhouette affects only the order.
     other = match(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
-
-
-@pytest.mark.parametrize("number", [40, 300, 520])
-@pytest.mark.parametrize("angle", [-170.0, -90.0, -70.0, 35.0, 90.0, 110.0, 180.0])
-def test_rotated_person_has_the_rotated_pose(
-    toy_index: PoseIndex, number: int, angle: float
-) -> None:
-    """Whether the silhouette is rotated upright before matching or not."""
-    entry = toy_index.entry(number)
-    lying, to_entry = rotate_silhouette(toy_index.silhouette(number), angle)
-    points = (entry.points_normalised - to_entry[:, 2]) @ np.linalg.inv(to_entry[:, :2]).T
-    expected = rotate_clockwise(entry.points_3d, angle)
-    as_it_is = likeliest(match(toy_index, lying, 7, landmarks_of(points, expected)))
-    stood_up = likeliest(
-        match(
-            toy_index, toy_index.silhouette(number), 7, landmarks_of_entry(toy_index, number),
-            roll_deg=-angle,
-        )
-    )  # fmt: skip
-    assert joint_error(as_it_is.points_normalised, points) < 4
-    assert joint_error(stood_up.points_normalised, entry.points_normalised) < 4
-    for found in (as_it_is, stood_up):
-        assert joint_error(found.points_3d, expected) < 0.2
-        assert abs(wrap_degrees(found.tilt_deg - angle - entry.roll_deg)) < 15

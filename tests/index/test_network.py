@@ -13,11 +13,10 @@ from index.network import (
     Distributions,
     JointNetwork,
     Layer,
-    joint_positions,
     log_softmax,
     network_input,
 )
-from index.skeleton import JOINTS, mirror_3d, mirror_normalised
+from index.skeleton import JOINTS
 from index.store import PoseIndex
 from tests.index.helpers import random_network
 
@@ -89,17 +88,6 @@ def scaled(layer: Layer, sums: NDArray[np.float64]) -> NDArray[np.float32]:
 
 def whole(values: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.rint(values).clip(0, 127).astype(np.float64)
-
-
-def test_mirrored_skeletons_are_as_likely(network: JointNetwork, toy_index: PoseIndex) -> None:
-    seen = network.distributions(toy_index.silhouette(3))
-    points_3d, points_2d = toy_index.points(np.arange(20))
-    mirrored = joint_positions(mirror_3d(points_3d), mirror_normalised(points_2d))
-    assert_allclose(
-        seen.mirrored().log_likelihood(mirrored),
-        seen.log_likelihood(joint_positions(points_3d, points_2d)),
-        atol=1e-5,
-    )
 
 
 class TestPosteriorMeans:

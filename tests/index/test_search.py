@@ -20,7 +20,7 @@ from index.search import (
     pose_vectors,
     scale_factor,
 )
-from index.skeleton import LIMB_HIPS, LIMB_ROWS, LIMBS, mirror_3d, rotate_clockwise
+from index.skeleton import LIMB_HIPS, LIMB_ROWS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 
 LARGEST = 127 / float(STEPS_PER_UNIT)
@@ -163,13 +163,6 @@ def test_pose_vectors_fit_a_byte(seed: int) -> None:
     assert (vectors == np.rint(vectors)).all() and np.abs(vectors).max() <= 127
     assert (vectors[:, 3 * len(LIMBS) :] == 0).all()
     assert pose_vectors(np.zeros((1, 12, 3))).tolist() == np.zeros((1, LANDMARK_DIMENSION)).tolist()
-
-
-def test_limbs_are_mirrored_as_skeletons_are(toy_index: PoseIndex) -> None:
-    points = toy_index.points(np.arange(9))[0]
-    for one, mirrored in zip(points, mirror_3d(points), strict=True):
-        assert_allclose(mirrored_limbs(one[LIMB_ROWS]), mirrored[LIMB_ROWS], atol=1e-9)
-        assert_allclose(mirrored_limbs(mirrored_limbs(one[LIMB_ROWS])), one[LIMB_ROWS])
 
 
 def test_finds_at_most_all_entries(toy_index: PoseIndex) -> None:

@@ -27,7 +27,6 @@ from app.vision.silhouettes import (
     touches_border,
     with_truncation,
 )
-from tests.support.rotation import rotate_box, rotate_points
 
 SHAPE = (240, 320, 3)
 
@@ -278,17 +277,6 @@ def test_landmarks_beyond_the_edge_are_not_seen() -> None:
             landmarks.positions[i, 1] = 310
     assert end_beyond_border(Box(50, 198, 40, 100), landmarks, (300, 300))
     assert not end_beyond_border(Box(50, 198, 40, 100), landmarks, (400, 300))
-
-
-@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-@pytest.mark.parametrize("gone", [HEAD, FEET], ids=["head", "feet"])
-def test_rotated_person_ends_at_the_rotated_edge(quarter_turns: int, gone: tuple[str, ...]) -> None:
-    shape, landmarks = (300, 400), landmarks_but(*gone)
-    for box in (Box(50, 3, 40, 100), Box(50, 198, 40, 100), Box(2, 100, 40, 100)):
-        positions = rotate_points(landmarks.positions, shape, -quarter_turns)
-        lying = rotate_box(box, shape, -quarter_turns), replace(landmarks, positions=positions)
-        its_shape = np.rot90(np.empty(shape), quarter_turns).shape
-        assert end_beyond_border(*lying, its_shape) == end_beyond_border(box, landmarks, shape)
 
 
 def test_nearer_person_hides_the_farther() -> None:
