@@ -131,7 +131,7 @@ class Metrics:
             "pose_camera_frames", "Frames of cameras tracked, by whether their session was new.",
             ["session"])
         self.events = counter(
-            "pose_events", "Events of cameras, by kind; `begin` alone of those that last.",
+            "pose_events", "Events of cameras, by kind; of those that last, only `begin`.",
             ["event"])
         self.sessions = gauge(
             "pose_camera_sessions", "Camera sessions held.")
@@ -150,7 +150,7 @@ class Metrics:
         ).set(1)
 
     def observe_cameras(self, traffic: Callable[[], Iterable[CameraTraffic]]) -> None:
-        """Report the traffic of cameras, asked for at each scrape."""
+        """Report the traffic of cameras, computed at each scrape."""
         self.registry.register(CameraCollector(traffic))
 
     def observe_request(self, route: str, status: int, seconds: float, rejected: str) -> None:

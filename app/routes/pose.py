@@ -119,7 +119,7 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
     estimator = runtime.ready_estimator()
 
     def work(job: Job) -> bytes:
-        # What a background shows may be one body in parts, which the landmarks tell.
+        # A background may cut one body into parts; landmarks show that they belong together.
         evidence: Evidence = "silhouette" if upload.background is None else "photograph"
         found = estimator.find_people(upload, job, evidence)
         runtime.metrics.observe_stages(job.stage_ms)

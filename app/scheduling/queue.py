@@ -2,7 +2,7 @@
 
 Admission
     A frame is admitted while its expected wait, from the recent durations of each kind of work,
-    is short enough. A refused client is told when to come back.
+    is short enough. A refusal says when to come back.
 Order
     Callers share the threads' time equally, however much each of them sends, by fair queueing [1]_:
     short work overtakes the long work of other callers. Frames of one caller keep their order.

@@ -67,7 +67,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
 log = logging.getLogger("app")
 
 POLL_S = 3.0
-"""Interval in which Milvus is asked which index is published."""
+"""Interval at which Milvus is polled for the published index."""
 
 
 def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:

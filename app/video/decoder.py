@@ -50,7 +50,7 @@ def write_frames(file: BinaryIO, stride: int, max_pixels: int, out: BinaryIO) ->
 
     The line before a frame's pixels has ``width``, ``height``, and the other fields of
     :class:`app.video.reader.VideoFrame`. The last line has ``end``: null if the video is complete,
-    what was found if not. If a frame has more than ``max_pixels``, its size alone is the last line.
+    what was found if not. If a frame has more than ``max_pixels``, the last line is its size.
     """
 
     def write(**fields: object) -> None:

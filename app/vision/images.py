@@ -238,7 +238,7 @@ def _lacks_its_end(data: bytes, header: Image.Image) -> bool:
 
     The last bytes of its scan belong to the grey itself if it is stored, to the pixels before it if
     not. So without these bytes, others change. A progressive JPEG has several scans; only its end
-    marker tells.
+    marker shows it.
     """
     end = data.find(_END_OF_JPEG, data.rfind(_SCAN_OF_JPEG))
     if header.info.get("progressive"):

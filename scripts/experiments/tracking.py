@@ -39,7 +39,7 @@ from index.confidence import RIGHT_BELOW_PX
 from index.facing import azimuth_deg
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
-from scripts.film import FPS, Filmed, film
+from scripts.filming import FPS, Filmed, film
 from scripts.helpers import match_silhouettes
 from scripts.training.held_out import strict_index
 

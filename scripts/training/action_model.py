@@ -14,7 +14,7 @@ from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
 from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
-from scripts.film import CLIP_FPS, ELEVATIONS_DEG, on_ground, unbroken_stretches
+from scripts.filming import CLIP_FPS, ELEVATIONS_DEG, on_ground, unbroken_stretches
 
 ACTIONS = (
     "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",

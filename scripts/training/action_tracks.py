@@ -29,7 +29,7 @@ from index.build.poses import Poses, read_poses
 from index.posture import classify_postures
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
-from scripts.film import CLIP_FPS, FPS, Filmed, film, film_stretch, unbroken_stretches
+from scripts.filming import CLIP_FPS, FPS, Filmed, film, film_stretch, unbroken_stretches
 from scripts.helpers import match_silhouettes
 from scripts.training.action_model import (
     ACTIONS,
