@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Box, resize
+from app.vision.geometry import Box, shrink_quickly
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.silhouettes import fill_small_holes, keep_components, with_truncation
 
@@ -144,7 +144,7 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
     if height * width > MAX_PX:
         factor = math.sqrt(MAX_PX / (height * width))
         size = max(1, int(factor * width)), max(1, int(factor * height))
-        reduced = foreground(resize(frame, *size), resize(background, *size))
+        reduced = foreground(shrink_quickly(frame, *size), shrink_quickly(background, *size))
         return cv2.resize(
             reduced.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
         ).view(np.bool_)

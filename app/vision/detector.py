@@ -21,7 +21,7 @@ from app.vision.geometry import (
     box_array,
     crop,
     non_max_suppression,
-    resize,
+    shrink_quickly,
 )
 from app.vision.hog import PERSON_PX, hog_margin
 from app.vision.models import fitted_constants
@@ -118,14 +118,16 @@ class NetworkDetector:
         tiles = tiles_of(width, height, self._min_person_px)
         if not tiles:
             return [], np.zeros((0, 3))
-        overview = resize(frame, *tiles[0].size)
+        overview = shrink_quickly(frame, *tiles[0].size)
         found = self._movenet_people(frame, overview, tiles)
         windows: list[list[PersonWindow]] = [[] for _ in found]
         factor = tiles[0].factor
         scores = [[one.score, _margin(frame, overview, factor, one.box), 0.0] for one in found]
         alone: list[Detection] = []
-        for seen in self._body_detector.detect(overview, _MIN_BODY_SCORE):
-            body = replace(seen, window=seen.window.scaled(1 / factor))
+        # An enlarged overview shows no more than the frame.
+        picture, scale = (frame, 1.0) if factor > 1 else (overview, factor)
+        for seen in self._body_detector.detect(picture, _MIN_BODY_SCORE):
+            body = replace(seen, window=seen.window.scaled(1 / scale))
             same = [i for i, one in enumerate(found) if _is_same(body.window, one.box)]
             if same:
                 best = max(same, key=lambda i: found[i].score)
@@ -145,7 +147,9 @@ class NetworkDetector:
         found: list[Detection] = []
         ranks: list[float] = []
         for number, tile in enumerate(tiles):
-            picture = overview if number == 0 else resize(crop(frame, tile.rect), *tile.size)
+            picture = (
+                overview if number == 0 else shrink_quickly(crop(frame, tile.rect), *tile.size)
+            )
             for person in self._movenet.detect(picture):
                 box = tile.to_frame(person.box, width, height, _SEAM_PX)
                 if box is None or person.score < _MIN_MOVENET_SCORE:

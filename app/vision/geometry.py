@@ -258,10 +258,10 @@ def sample_window(frame: NDArray[np.uint8], window: PersonWindow, pixels: int) -
     part = frame[low[1] : high[1], low[0] : high[0]]
     matrix = window.to_frame(pixels)
     matrix[:, 2] -= low
-    # A pixel of the result covers about one and a half pixels of the averaged frame.
-    halvings = round(math.log2(window.side / (1.5 * pixels)))
-    if halvings > 0:
-        factor = 2**halvings
+    # A pixel of the result covers about one and a half pixels of the averaged frame; averaging over
+    # whole numbers of pixels is ten times as fast.
+    factor = round(window.side / (1.5 * pixels))
+    if factor > 1:
         factors = np.minimum(factor, high - low)
         reduced = (high - low) // factors
         width, height = (factors * reduced).tolist()
@@ -324,10 +324,18 @@ def crop_and_resize(
 
 
 def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
-    """Resize an image ``(H, W)`` or ``(H, W, C)`` bilinearly, by halves first where it shrinks.
+    """Resize an image, by means over areas where it shrinks and bilinearly where it grows."""
+    rows, columns = image.shape[:2]
+    shrinks = width < columns or height < rows
+    kind = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return cv2.resize(image, (width, height), interpolation=kind).astype(np.uint8, copy=False)
 
-    A half is the mean of two pixels each way, so every pixel counts. That takes a tenth of the time
-    of means over areas of any size, and its whole numbers are the same on every processor.
+
+def shrink_quickly(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Resize an image bilinearly, by halves first where it shrinks.
+
+    Of whole frames, that takes a tenth of the time of means over areas, and people are found alike.
+    What is read of one person, landmarks above all, is a little worse.
     """
     while (size := image.shape[1::-1]) != (width, height):
         step = tuple(

@@ -18,8 +18,8 @@ from app.vision.geometry import (
     crop_and_resize,
     iou_matrix,
     non_max_suppression,
-    resize,
     sample_window,
+    shrink_quickly,
     transform_points,
 )
 from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, SIDES
@@ -137,13 +137,13 @@ def test_crop_is_zero_beyond_the_image(left: int, top: int, width: int, height: 
     rows=st.integers(1, 90), columns=st.integers(1, 90),
     height=st.integers(1, 90), width=st.integers(1, 90),
 )  # fmt: skip
-def test_a_resized_ramp_is_a_ramp_in_the_same_place(
+def test_a_quickly_shrunk_ramp_is_a_ramp_in_the_same_place(
     rows: int, columns: int, height: int, width: int
 ) -> None:
     ramp = np.add.outer(np.arange(rows), np.arange(columns)).astype(np.uint8)
     y = np.clip((np.arange(height) + 0.5) * rows / height - 0.5, 0, rows - 1)
     x = np.clip((np.arange(width) + 0.5) * columns / width - 0.5, 0, columns - 1)
-    resized = resize(ramp, width, height)
+    resized = shrink_quickly(ramp, width, height)
     assert resized.shape == (height, width)
     assert np.abs(resized - np.add.outer(y, x)).max() <= 2.5
 
