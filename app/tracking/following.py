@@ -21,7 +21,7 @@ from app.scheduling.job import Job
 from app.tracking.track import Sighting, Track
 from app.vision.blazepose import PoseReading
 from app.vision.detector import smallest_person_px
-from app.vision.geometry import Box, PersonWindow, resize
+from app.vision.geometry import Box, PersonWindow, shrink_quickly
 from app.vision.silhouettes import ends_at_border
 
 SEARCH_EVERY_S = 0.4
@@ -186,7 +186,9 @@ class _Scene:
         """
         scale = min(1.0, _PERSON_CELLS / smallest_px)
         height, width = (max(1, round(side * scale)) for side in frame.shape[:2])
-        now = cv2.cvtColor(resize(frame, width, height), cv2.COLOR_BGR2GRAY).astype(np.uint8)
+        now = cv2.cvtColor(shrink_quickly(frame, width, height), cv2.COLOR_BGR2GRAY).astype(
+            np.uint8
+        )
         self._now = now
         places = [track.box_filter.predict(timestamp) for track in tracks]
         places += [self._boxes.setdefault(track, track.box_filter.seen) for track in tracks]
