@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from descriptor.descriptor import restore
 from index.confidence import RERANKING_FEATURES, Calibration
 from index.network import JointNetwork, RankingModel
-from index.search import Neighbours
+from index.search import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -163,7 +163,7 @@ def _restore(
     return PoseIndex(
         name=manifest["name"],
         descriptor=restore(manifest["descriptor"], learned),
-        vectors=vectors,
+        vectors=ExactNeighbours(vectors),
         entries=files["entries"],
         skeletons=files["skeletons"],
         skeleton_labels=files["skeleton-labels"],

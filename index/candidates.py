@@ -212,7 +212,7 @@ def _compare(
 
     Distances are computed again, because searches and processors round differently.
     """
-    vectors = index.vectors[entry_ids].astype(np.float32)
+    vectors = index.vectors[entry_ids]
     points_3d, points_normalised = index.points(entry_ids)
     vectors[mirrored] = index.descriptor.mirror(vectors[mirrored])
     points_3d[mirrored] = mirror_3d(points_3d[mirrored])

@@ -90,7 +90,7 @@ class MilvusNeighbours:
 
     def check(self, index: PoseIndex) -> None:
         """Raise :class:`ArtefactError` if these are not the vectors of an index."""
-        ends = index.vectors[[0, -1]].astype(np.float32)
+        ends = index.vectors[[0, -1]]
         if len(self) != len(index) or self.search(ends, 1)[0].max() > _SAME:
             raise ArtefactError(f"the collection {self._collection} holds other vectors")
 

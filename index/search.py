@@ -7,7 +7,7 @@ search finds entries that the other misses.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -70,7 +70,7 @@ class Neighbours(Protocol):
 
 
 class ExactNeighbours:
-    """Compares each query with all vectors ``(E, D)``, in this process."""
+    """Vectors ``(E, D)``; compares each query with all of them, in this process."""
 
     def __init__(self, vectors: NDArray[np.floating]) -> None:
         dimension = vectors.shape[1]
@@ -85,6 +85,16 @@ class ExactNeighbours:
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of vectors, and of their values."""
+        return len(self), int(self._faiss.d)
+
+    def __getitem__(self, rows: NDArray[np.integer] | Sequence[int] | slice) -> NDArray[np.float32]:
+        """The vectors of these rows, as they were given."""
+        stored = self._faiss.reconstruct_batch(np.arange(len(self))[rows])
+        return np.asarray((stored - _ZERO if self._in_bytes else stored) / self._factor)
 
     def search(
         self, queries: NDArray[np.float32], k: int

@@ -106,7 +106,8 @@ class PoseIndex:
     ----------
     descriptor : Descriptor
         The descriptor of the vectors, and of queries.
-    vectors : (E, D) float array
+    vectors : ExactNeighbours
+        The descriptors of the entries.
     entries : (E,) array of ENTRY_DTYPE
         Skeleton, camera, and placement in the normalised frame. The camera of an entry wider than
         high is rolled so that the silhouette stands upright.
@@ -128,7 +129,7 @@ class PoseIndex:
 
     name: str
     descriptor: Descriptor
-    vectors: NDArray[np.floating]
+    vectors: ExactNeighbours
     entries: NDArray[np.void]
     skeletons: NDArray[np.float16]
     skeleton_labels: NDArray[np.void]
@@ -164,14 +165,10 @@ class PoseIndex:
                 f"expected skeletons below {len(self.skeletons)}, an entry names "
                 f"{self.entries['skeleton'].max()}"
             )
-        neighbours = ExactNeighbours(self.vectors) if searched_by is None else searched_by
+        neighbours = self.vectors if searched_by is None else searched_by
         if len(neighbours) != count:
             raise ValueError(f"expected a search of {count} vectors, got one of {len(neighbours)}")
-        # Half precision takes half the memory, and mostly holds the vectors exactly.
-        half = self.vectors.astype(np.float16)
-        exact = np.array_equal(half, self.vectors)
         object.__setattr__(self, "neighbours", neighbours)
-        object.__setattr__(self, "vectors", half if exact else self.vectors.astype(np.float32))
         object.__setattr__(self, "landmark_search", LandmarkSearch(self._pose_vectors()))
 
     def __len__(self) -> int:

@@ -9,7 +9,6 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from pymilvus import DataType, MilvusClient
 from tqdm import tqdm
 
@@ -54,7 +53,7 @@ def _write(client: MilvusClient, name: str, index: PoseIndex) -> None:
     exact = client.prepare_index_params(VECTOR, index_type="FLAT", **METRIC)
     client.create_index(name, exact, **ONCE)
     for start in tqdm(range(0, len(index), BATCH), unit="batch"):
-        rows = enumerate(index.vectors[start : start + BATCH].astype(np.float32), start)
+        rows = enumerate(index.vectors[start : start + BATCH], start)
         client.insert(name, [{ROW: number, VECTOR: row} for number, row in rows], **ONCE)
     client.flush(name, **ONCE)
 

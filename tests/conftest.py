@@ -29,6 +29,7 @@ from descriptor.silhouette import normalise, pack
 from index.artefact import load_index
 from index.build.writer import compress, save_index
 from index.confidence import FEATURES, Calibration
+from index.search import ExactNeighbours
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
 from tests.support.ports import free_ports
@@ -146,7 +147,7 @@ def index_of_figures(
     return PoseIndex(
         name=name,
         descriptor=descriptor,
-        vectors=descriptor.describe(stack),
+        vectors=ExactNeighbours(descriptor.describe(stack)),
         entries=entries,
         skeletons=skeletons.astype(np.float16),
         skeleton_labels=labels,

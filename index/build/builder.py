@@ -23,7 +23,7 @@ from index.build.simulate import Simulation, simulate
 from index.build.writer import halved
 from index.confidence import Calibration
 from index.posture import LOW, POSTURES, classify_postures
-from index.search import STEPS_PER_UNIT
+from index.search import STEPS_PER_UNIT, ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 
@@ -290,8 +290,10 @@ def assemble(
     return PoseIndex(
         name=name,
         descriptor=descriptor,
-        vectors=np.round(simulation.describe(descriptor) * STEPS_PER_UNIT).astype(np.float32)
-        / STEPS_PER_UNIT,
+        vectors=ExactNeighbours(
+            np.round(simulation.describe(descriptor) * STEPS_PER_UNIT).astype(np.float32)
+            / STEPS_PER_UNIT
+        ),
         entries=simulation.entries,
         skeletons=simulation.skeletons,
         skeleton_labels=simulation.skeleton_labels,

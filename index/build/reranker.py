@@ -46,6 +46,7 @@ from index.network import (
     quantise,
     quantised_relu,
 )
+from index.search import ExactNeighbours
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 
@@ -161,7 +162,7 @@ def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
     """Some entries of an index, searched exactly."""
     return replace(
         index,
-        vectors=index.vectors[rows],
+        vectors=ExactNeighbours(index.vectors[rows]),
         entries=index.entries[rows],
         silhouette_store=index.silhouette_store.select(rows),
         version="",

@@ -151,7 +151,7 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 def _files(index: PoseIndex) -> dict[str, bytes]:
     flat = faiss.IndexFlatL2(index.descriptor.dimension)
-    flat.add(index.vectors.astype(np.float32))
+    flat.add(index.vectors[:])
     silhouettes = index.silhouette_store
     learned = {f"descriptor-{k}.npy": npy_bytes(v) for k, v in index.descriptor.arrays().items()}
     return {

@@ -27,6 +27,7 @@ from index.build.garments import make_avatars
 from index.build.motion import Clip, Segment, read_manifest
 from index.build.poses import Poses, read_poses
 from index.posture import classify_postures
+from index.search import ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.filming import CLIP_FPS, FPS, Filmed, film, film_stretch, unbroken_stretches
@@ -163,7 +164,7 @@ def without_clips(index: PoseIndex, clips: set[str]) -> PoseIndex:
     rows = np.flatnonzero(known[index.skeleton_labels["clip"][index.entries["skeleton"]]])
     return replace(
         index,
-        vectors=index.vectors[rows].astype(np.float32),
+        vectors=ExactNeighbours(index.vectors[rows]),
         entries=index.entries[rows],
         silhouette_store=index.silhouette_store.select(rows),
         reranker=None,

@@ -34,6 +34,7 @@ from index.artefact import (
 )
 from index.build.writer import npy_bytes, save_index, save_reranker
 from index.network import RankingModel
+from index.search import ExactNeighbours
 from index.store import ENTRY_DTYPE, PoseIndex
 from tests.index.helpers import contents, seal
 
@@ -57,13 +58,12 @@ class TestRoundTrip:
         projection[4:, :, 0::2] = 0
         learned = DiscriminantDescriptor(projection.reshape(6, -1))
         silhouettes = toy_index.silhouettes(np.arange(len(toy_index)))
-        index = dataclasses.replace(
-            toy_index, descriptor=learned, vectors=learned.describe(silhouettes)
-        )
+        vectors = learned.describe(silhouettes)
+        index = dataclasses.replace(toy_index, descriptor=learned, vectors=ExactNeighbours(vectors))
         save_index(index, tmp_path / "learned")
         back = load_index(tmp_path / "learned")
-        assert_array_equal(back.descriptor.describe(silhouettes), index.vectors)
-        assert_array_equal(back.descriptor.mirror(index.vectors), learned.mirror(index.vectors))
+        assert_array_equal(back.descriptor.describe(silhouettes), index.vectors[:])
+        assert_array_equal(back.descriptor.mirror(vectors), learned.mirror(vectors))
 
     def test_same_index_twice_gives_the_same_bytes(
         self, toy_index: PoseIndex, saved: Path, tmp_path: Path
@@ -79,7 +79,7 @@ class TestRoundTrip:
         changed = {
             "name": "other",
             "parameters": {**toy_index.parameters, "seed": 8},
-            "vectors": toy_index.vectors + np.float32(1e-3),
+            "vectors": ExactNeighbours(toy_index.vectors[:] + np.float32(1e-3)),
             "skeletons": toy_index.skeletons + np.float16(0.01),
             "actions": tuple(reversed(toy_index.actions)),
         }[field]
@@ -163,7 +163,7 @@ class TestRefusal:
         self, toy_index: PoseIndex, saved: Path, name: str
     ) -> None:
         other = faiss.IndexFlatIP(toy_index.descriptor.dimension)
-        other.add(toy_index.vectors)
+        other.add(toy_index.vectors[:])
         content, said = {
             "entries.npy": (
                 npy_bytes(toy_index.entries[: len(toy_index) // 2]), "does not hold together"

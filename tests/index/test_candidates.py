@@ -98,7 +98,7 @@ def test_candidates_are_the_nearest_entries_and_mirror_images(
     silhouette = toy_index.silhouette(number)
     found = find_candidates(toy_index, [RotatedQuery.of(silhouette, 0.0)], 30)
     assert_allclose(found.distances, np.linalg.norm(found.offsets, axis=-1), atol=ATOL)
-    both = np.concatenate([toy_index.vectors, toy_index.descriptor.mirror(toy_index.vectors)])
+    both = np.concatenate([toy_index.vectors[:], toy_index.descriptor.mirror(toy_index.vectors[:])])
     query = toy_index.descriptor.describe(silhouette[None])
     all_apart = np.linalg.norm(query.astype(np.float64) - both, axis=-1)
     assert_allclose(found.distances, np.sort(all_apart)[:30], atol=ATOL)

@@ -44,7 +44,7 @@ def uri(tmp_path: Path) -> str:
 
 
 def test_it_finds_the_nearest_vectors(uri: str, artefacts: Path, versions: Versions) -> None:
-    vectors = versions[0].vectors.astype(np.float32)
+    vectors = versions[0].vectors[:]
     publish(uri, versions[0])
     published = load_published(uri, artefacts)
     assert published is not None and isinstance(published.neighbours, MilvusNeighbours)

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from index.build.writer import compress
+from index.search import ExactNeighbours
 from index.store import PoseIndex
 
 
@@ -53,7 +54,7 @@ class TestSearch:
         queries = np.stack([queries, toy_index.descriptor.mirror(queries), queries[::-1]], axis=1)
         distances, numbers, variants = toy_index.search(queries, k)
         apart = np.linalg.norm(
-            queries[:, :, None].astype(np.float64) - toy_index.vectors, axis=-1
+            queries[:, :, None].astype(np.float64) - toy_index.vectors[:], axis=-1
         ).reshape(len(queries), -1)
         nearest = np.sort(apart, axis=1)[:, :k]
         assert distances.shape == numbers.shape == variants.shape == nearest.shape
@@ -72,7 +73,7 @@ class TestSearch:
         self, toy_index: PoseIndex
     ) -> None:
         vectors = np.tile(toy_index.vectors[:144], (4, 1))
-        index = dataclasses.replace(toy_index, vectors=vectors)
+        index = dataclasses.replace(toy_index, vectors=ExactNeighbours(vectors))
         queries = np.repeat(vectors[None, 3:4], 2, axis=1)
         _, numbers, variants = index.search(queries, 8)
         assert numbers[0].tolist() == 2 * [3, 147, 291, 435]

@@ -17,6 +17,7 @@ from index.build.motion import Segment
 from index.build.poses import Poses, lay_down, merged, read_poses
 from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
+from index.search import ExactNeighbours
 from index.store import PoseIndex
 from tests.conftest import SHARED
 from tests.index.build.toys import box_avatar, walk, write_clip
@@ -63,7 +64,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
     return PoseIndex(
         name=name,
         descriptor=descriptor,
-        vectors=simulation.describe(descriptor),
+        vectors=ExactNeighbours(simulation.describe(descriptor)),
         entries=simulation.entries,
         skeletons=simulation.skeletons,
         skeleton_labels=simulation.skeleton_labels,
