@@ -61,14 +61,6 @@ class Estimator:
         other.index = index
         return other
 
-    def warm_up(self) -> None:
-        """Run everything once, because the first run is slow."""
-        frame = np.full((240, 320, 3), 127, np.uint8)
-        box = Box(120.0, 40.0, 60.0, 160.0)
-        self.models.detector.detect(frame)
-        self.models.reader.read(frame, box)
-        match(self.index, self.index.silhouette(0), 1)
-
     def estimate(
         self,
         upload: Upload,
@@ -209,6 +201,8 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
 def load_models(concurrency: int, min_person_px: float | None) -> Models:
     """Load the networks that detect and read people, and the models that judge what was read.
 
+    Networks run once, because the first run is slow.
+
     Parameters
     ----------
     concurrency : int
@@ -233,4 +227,7 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
+    frame = np.full((240, 320, 3), 127, np.uint8)
+    detector.detect(frame)
+    reader.read(frame, Box(120.0, 40.0, 60.0, 160.0))
     return Models(detector, reader, load_photograph_models())

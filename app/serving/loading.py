@@ -27,6 +27,7 @@ from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError, load_index
+from index.matching import match
 from index.search import UnavailableError
 from index.store import PoseIndex
 
@@ -80,9 +81,13 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     NetworkError
         If a network file shipped with the package is missing or has been modified.
     """
+    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
+        models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
+        index = load_index(settings.index) if index is None else index
+    match(index, index.silhouette(0), 1)  # The first search is slow.
     return Estimator(
-        load_index(settings.index) if index is None else index,
-        load_models(settings.concurrency, settings.min_person_px),
+        index,
+        models.result(),
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,
@@ -127,7 +132,6 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
 def _prepare_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
     with native_lines_logged(log):
         estimator = load_estimator(runtime.settings, index)
-        estimator.warm_up()
     freeze_loaded_objects()
     trim_heap()
     return estimator
