@@ -22,6 +22,8 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 # Kubernetes sets such variables in all containers of a namespace with a service called "pose".
 _KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
+_Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
 
 class SettingsError(ValueError):
     """An environment variable is invalid; the message is one sentence that begins with its name."""
@@ -83,23 +85,17 @@ class Settings(BaseSettings):
         ge=1,
         description="Frames processed at once; a frame with several people also uses idle threads.",
     )
-    max_wait_s: float = Field(
+    max_wait_s: _Seconds = Field(
         default=2.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Longest wait of an uploaded frame for a thread; one that would wait longer "
         "is refused.",
     )
-    request_timeout_s: float = Field(
+    request_timeout_s: _Seconds = Field(
         default=10.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Longest time from the end of the upload to the reply.",
     )
-    upload_timeout_s: float = Field(
+    upload_timeout_s: _Seconds = Field(
         default=30.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Longest upload; a slower client gets a 408.",
     )
 
@@ -115,10 +111,8 @@ class Settings(BaseSettings):
         description="JSON file with zones and optics of cameras, read at the start; see "
         "[zones](tracking.md#zones).",
     )
-    camera_idle_s: float = Field(
+    camera_idle_s: _Seconds = Field(
         default=300.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Seconds without a frame after which a camera session is dropped.",
     )
     camera_memory_mb: int = Field(
@@ -137,19 +131,15 @@ class Settings(BaseSettings):
         ge=1024,
         description="Largest request with a video, in bytes; it is kept in memory.",
     )
-    video_upload_timeout_s: float = Field(
+    video_upload_timeout_s: _Seconds = Field(
         default=120.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Longest upload of a video.",
     )
     max_sequence_frames: int = Field(
         default=5000, ge=1, description="Most frames of a video that are processed."
     )
-    sequence_timeout_s: float = Field(
+    sequence_timeout_s: _Seconds = Field(
         default=900.0,
-        gt=0,
-        allow_inf_nan=False,
         description="Longest time from the end of a video's upload to the last line of the reply.",
     )
 

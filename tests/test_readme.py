@@ -47,18 +47,6 @@ COMMANDS = list(
 )
 
 
-def test_commands_are_found_in_shell_blocks_alone() -> None:
-    text = (
-        "```sh\nmake run\ncurl a \\\n  b\ncurl c\n```\ncurl d\n```json\ncurl e\n```\n"
-        "```sh\n$ curl f | cat\n```\n"
-    )
-    assert curl_commands(text) == ["curl a \\\n  b", "curl c", "curl f | cat"]
-
-
-def test_the_readme_shows_how_to_call_the_service() -> None:
-    assert curl_commands(README.read_text()), "no curl command in a block of sh"
-
-
 @pytest.fixture(scope="module")
 def service() -> Iterator[Server]:
     """A server over the index that ships, whose entries the pages may name."""

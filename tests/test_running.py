@@ -77,13 +77,6 @@ def test_every_metric_is_described_and_no_other(client: TestClient) -> None:
     assert described == served
 
 
-def test_every_reason_in_the_code_is_described() -> None:
-    code = "".join(path.read_text() for path in Path(ROOT / "app").rglob("*.py"))
-    reasons = set(re.findall(r'reason ?= ?"(\w+)"', code)) - {"busy"}
-    reasons |= set(re.findall(r'overloaded\(\s*[^,]+,\s*"(\w+)"', code))
-    assert reasons - names(part("Metrics")) == set()
-
-
 def test_every_field_of_a_log_line_is_described(
     client: TestClient, caplog: pytest.LogCaptureFixture
 ) -> None:

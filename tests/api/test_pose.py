@@ -88,14 +88,6 @@ def test_the_picture_of_a_mask_alone_is_black_around_it(client: TestClient, phot
     assert not drawn[:, :100].any()
 
 
-def test_poses_of_silhouettes_are_drawn_on_their_photograph(
-    client: TestClient, photo: Photo
-) -> None:
-    path = "/pose/overlay?evidence=silhouette"
-    picture = decoded(client.post(path, files=photo.files).content)
-    assert picture[: len(photo.mask), :100].any()
-
-
 def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     frame = {"frame": STREET}
     (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]

@@ -29,7 +29,6 @@ from index.artefact import (
     ArtefactError,
     find_artefact,
     load_index,
-    load_reranker,
     read_array,
 )
 from index.build.writer import npy_bytes, save_index, save_reranker
@@ -229,12 +228,6 @@ def test_index_is_saved_with_its_network(
         (tmp_path / "again" / name).read_bytes() == (with_network / name).read_bytes()
         for name in (RERANKING_JSON, RERANKING_NPZ)
     )
-
-
-def test_index_without_a_network(toy_index: PoseIndex, tmp_path: Path) -> None:
-    save_index(toy_index, tmp_path / "plain")
-    assert load_reranker(tmp_path / "plain") is None
-    assert load_index(tmp_path / "plain").reranker is None
 
 
 def altered(content: bytes) -> bytes:
