@@ -197,7 +197,8 @@ class LandmarkSearch:
                 f"expected vectors of shape (E, {LANDMARK_DIMENSION}), got {vectors.shape}"
             )
         self._faiss = _byte_index(LANDMARK_DIMENSION)
-        self._faiss.add(np.asarray(vectors, np.float32) + _ZERO)
+        for block in _blocks(vectors):
+            self._faiss.add(block + _ZERO)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)

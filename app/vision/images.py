@@ -9,8 +9,10 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 from typing import Any, Literal, TypeAlias
 
 import cv2
@@ -81,6 +83,11 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
         If the bytes are no image of :data:`FORMATS`, or a broken one.
     """
     header = _checked_header(data, max_pixels)
+    with _turn(header):
+        return _photograph(data, header)
+
+
+def _photograph(data: bytes, header: Image.Image) -> Photograph:
     pixels = _decode(data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     found: list[ImageWarning] = []
     if (
@@ -98,6 +105,15 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
         levels = (np.arange(2**16) - low) * 256 // (high - low)
         pixels = np.clip(levels, 0, 255).astype(np.uint8)[pixels]
     return Photograph.of(pixels, *found)
+
+
+_LARGE_PX = 2_500_000  # More than a frame of 1080p.
+_LARGE_ONES = Lock()
+
+
+def _turn(header: Image.Image) -> AbstractContextManager[object]:
+    """Wait for the turn of a large image: while it is decoded, it takes several times its size."""
+    return _LARGE_ONES if header.width * header.height > _LARGE_PX else nullcontext()
 
 
 _ORIENTATION, _ON_THE_SIDE = 0x0112, (5, 6, 7, 8)  # EXIF tag, and values that swap the sides.
@@ -190,12 +206,17 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         to mark people.
     """
     header = _checked_header(data, max_pixels)
+    with _turn(header):
+        return _checked(_label_image(data, header))
+
+
+def _label_image(data: bytes, header: Image.Image) -> LabelImage:
     if header.format == "PNG" and header.mode == "P":
-        return _checked(LabelImage.of(_stored(data)))
+        return LabelImage.of(_stored(data))
     pixels = _decode(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if _is_lossy(header, data):
         values = _one_channel(pixels, _LOSSY_CHANNEL_DIFFERENCE)
-        return _checked(LabelImage.of(_thresholded(values)))
+        return LabelImage.of(_thresholded(values))
     labels = _one_channel(pixels, 0)
     if header.format == "PNG" and header.mode == "L":
         # OpenCV stretches 2 and 4 bits to 0..255; the 25th byte of a PNG is its bit depth.
@@ -204,7 +225,7 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         alpha = _stored(data)[..., -1]
         if alpha.min() < _LOSSY_THRESHOLD:
             labels = np.asarray(alpha >= _LOSSY_THRESHOLD).view(np.uint8)
-    return _checked(LabelImage.of(labels))
+    return LabelImage.of(labels)
 
 
 # A picture is dark if this percentile of its values is lower than the limit.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -157,6 +158,24 @@ def test_image_of_a_million_empty_segments_is_refused() -> None:
     place = image.index(b"IDAT") - 4
     with pytest.raises(ImageError, match="broken"):
         decode_image(image[:place] + empty * 100_000 + image[place:], max_pixels=LIMIT)
+
+
+def test_large_images_are_decoded_one_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    data, decode, busy, most = encode(np.zeros((1600, 1600), np.uint8)), cv2.imdecode, [0], [0]
+
+    def counted(*arguments: object) -> object:
+        busy[0] += 1
+        most[0] = max(most[0], busy[0])
+        decoded = decode(*arguments)  # type: ignore[call-overload]
+        busy[0] -= 1
+        return decoded
+
+    monkeypatch.setattr(cv2, "imdecode", counted)
+    with ThreadPoolExecutor(4) as pool:
+        for kind in (decode_image, decode_mask):
+            images = [pool.submit(kind, data, max_pixels=10**7) for _ in range(3)]
+            assert all(image.result() is not None for image in images)
+    assert most == [1]
 
 
 def test_bomb_is_refused_before_it_is_decoded() -> None:
