@@ -46,6 +46,10 @@ COMMANDS = {
 """Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
 
 
+_SMALLER = {"watch_camera": ".venv", "track_video": ".venv", "load": ".venv-dev"}
+"""Environments of gigabytes less than ``.venv-build`` that have what some modules need."""
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run a command and return its exit status; what it lacks is said in one sentence."""
     name, *rest = arguments or ["--help"]
@@ -64,7 +68,7 @@ def main(arguments: Sequence[str]) -> int:
         if not error.name or error.name.startswith("scripts"):
             raise
         package = error.name.partition(".")[0]
-        folder = ".venv" if name == "watch-camera" else ".venv-build"
+        folder = _SMALLER.get(COMMANDS[name][0].split(".")[1], ".venv-build")
         message = (
             f"expected the package {package}, which `make {folder}/.stamp` installs: "
             f"then `{folder}/bin/python -m scripts {name}`"
@@ -77,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def usage() -> str:
     """Return the list of commands."""
-    lines = [f"  {name:15} {line}" for name, (_, line) in COMMANDS.items()]
+    lines = [f"  {name:17} {line}" for name, (_, line) in COMMANDS.items()]
     return "\n".join(["python -m scripts COMMAND [arguments]", "", *lines])
 
 
