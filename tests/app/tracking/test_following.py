@@ -19,6 +19,7 @@ from app.tracking.following import (
 )
 from app.tracking.track import Sighting, Track
 from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
+from tests.conftest import png
 from tests.golden import pictures
 
 
@@ -168,6 +169,21 @@ def test_slow_changes_of_light_add_up_and_infrared_causes_a_search_at_once(
     detector.searches = 0
     send(session, 8.0, light=90)
     assert detector.searches == 1
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_a_cameras_clock_is_no_change_and_its_turning_is(
+    session: CameraSession, detector: ColourDetector, turns: bool
+) -> None:
+    wall = cv2.resize(pictures.decode(pictures.EMPTY_YARD), (480, 200))
+    for step in range(45):
+        if step == 15:
+            detector.searches = 0
+        left = 4 * step if turns else 0
+        frame = wall[:, left : left + 300].copy()
+        cv2.putText(frame, f"12:00:{step // 5:02}", (4, 20), 0, 0.5, (255, 255, 255), 1)
+        session.process(Upload(png(frame)), step / 5, 1, Job())
+    assert detector.searches == (30 if turns else 6 / STILL_SEARCH_EVERY_S)
 
 
 def test_a_person_lost_in_a_still_scene_is_searched_for_at_once(
