@@ -153,6 +153,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         ("/sequence", form(frame=FRAME), "frame", ""),
         ("/sequence", form(video="x"), "video", ""),
         ("/sequence?stride=0", form(video=FRAME), "stride", ""),
+        ("/sequence?max_frames=0", form(video=FRAME), "max_frames", ""),
     ],
 }  # fmt: skip
 """Refused requests by status and reason, each with the field and a part of the sentence.

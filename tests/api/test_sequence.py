@@ -9,20 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import cv2
 import httpx
-import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from starlette.types import Message
 
-from app.api.tracking_schemas import SequenceEnd, SequenceFrame, TrackedPerson
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame
 from app.http.routing import request_state
 from app.routes import sequence
 from tests.conftest import Photo, Server, Serving, running_server
-from tests.golden.pictures import walk
 from tests.support.service import check_problem, eventually, sample
-from tests.support.videos import Scan, numbered_frames, write_video
+from tests.support.videos import numbered_frames, write_video
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +48,6 @@ def parse(response: httpx.Response) -> tuple[list[SequenceFrame], SequenceEnd]:
     )
 
 
-def box_of(person: TrackedPerson) -> list[float]:
-    return [person.box.x, person.box.y, person.box.width, person.box.height]
-
-
 class TestLines:
     def test_every_frame_has_a_line(self, client: TestClient, video: bytes) -> None:
         frames, end = parse(post(client, video, n=2))
@@ -70,14 +63,6 @@ class TestLines:
         assert sample(client, "pose_sequences") == 0
         assert sample(client, "pose_camera_sessions") == 0
 
-    def test_max_frames_limits_the_frames(self, client: TestClient, video: bytes) -> None:
-        frames, end = parse(post(client, video, max_frames=3))
-        assert (len(frames), end.reason, end.frames) == (3, "max_frames", 3)
-        frames, end = parse(post(client, video, max_frames=12))
-        assert (len(frames), end.reason) == (12, "complete")
-        for number in (0, 10**6):
-            check_problem(post(client, video, max_frames=number), 422, "max_frames")
-
     def test_damaged_frames_are_marked_and_counted(
         self, client: TestClient, tmp_path: Path, photo: Photo
     ) -> None:
@@ -88,24 +73,13 @@ class TestLines:
         assert 0 < sum(damaged) < 8 and end.damaged == sum(damaged)
         assert (end.reason, f"{sum(damaged)} of them damaged" in end.detail) == ("complete", True)
 
-    @pytest.mark.parametrize(
-        ("codec", "name", "scan"),
-        [("libx264", "v.ts", "tff"), ("mpeg2video", "v.mpg", "bff"), ("dvvideo", "v.dv", "bff")],
-    )
-    def test_an_interlaced_video_shows_the_same_people(
-        self, client: TestClient, tmp_path: Path, codec: str, name: str, scan: Scan
-    ) -> None:
-        film = [cv2.resize(frame, (720, 576)).astype(np.uint8) for frame, _ in walk(8)]
-        flags = {"flags": "+ildct+ilme"}
-        shown = write_video(tmp_path / "shown.ts", film[::2], "libx264", fps=25)
-        woven = write_video(tmp_path / name, film, codec, fps=25, scan=scan, options=flags)
-        expected, got = (parse(post(client, video, n=1))[0] for video in (shown, woven))
-        for one, other in zip(expected, got, strict=True):
-            (person,), same = one.persons, other.persons
-            assert [box_of(person)] == [pytest.approx(box_of(p), abs=25) for p in same]
-
 
 class TestRefusals:
+    def test_more_frames_than_the_service_allows_are_refused(
+        self, client: TestClient, video: bytes
+    ) -> None:
+        check_problem(post(client, video, max_frames=10**6), 422, "max_frames")
+
     def test_a_video_with_too_many_bytes_is_refused(self, serving: Serving, video: bytes) -> None:
         with serving(max_video_bytes=len(video) - 1) as client:
             check_problem(post(client, video), 413)

@@ -197,11 +197,6 @@ def test_landmarks_decide_between_left_and_right(
     assert np.mean(correct) > 0.9
 
 
-def same(one: PoseHypothesis, other: PoseHypothesis) -> bool:
-    """Whether two hypotheses are equal to the last bit."""
-    return all(np.array_equal(vars(one)[name], vars(other)[name]) for name in vars(one))
-
-
 @pytest.mark.parametrize("number", [40, 301, 500])
 def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, number: int) -> None:
     """The silhouette is cut at the hips and fills the frame; landmarks show the scale."""

@@ -153,15 +153,9 @@ class TestRotateClockwise:
         assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
 
 
-class TestWithBoneLengths:
-    def test_face_moves_with_the_head(self) -> None:
-        points, (head,) = some_points(3)[0], rows("head")
-        result = with_bone_lengths(points, bone_lengths(some_points(3)[1]))
-        assert_allclose(result[JOINTS:] - result[head], points[JOINTS:] - points[head])
-
-    def test_bones_without_direction_stay_finite(self) -> None:
-        lengths = bone_lengths(some_points(3)[0])
-        assert np.isfinite(with_bone_lengths(np.zeros((POINTS, 3)), lengths)).all()
+def test_bones_without_direction_stay_finite() -> None:
+    lengths = bone_lengths(some_points(3)[0])
+    assert np.isfinite(with_bone_lengths(np.zeros((POINTS, 3)), lengths)).all()
 
 
 @given(seed=st.integers(0, 999))
