@@ -49,6 +49,7 @@ class TfliteNetwork:
     ) -> None:
         self._path = path
         self._threads = threads
+        self._varies = any(None in shape for shape in input_shapes)
         # An interpreter holds the activations of its layers, so each serves one call at a time.
         # None stands for an interpreter that has not been made yet.
         self._idle: LifoQueue[Interpreter | None] = LifoQueue()
@@ -81,7 +82,9 @@ class TfliteNetwork:
             raise NetworkError(f"cannot read a network: {self._path} is missing")
         try:
             interpreter = Interpreter(model_path=str(self._path), num_threads=self._threads)
-            interpreter.allocate_tensors()
+            # Until a size that varies is known, memory for it would be wasted: 10 MB for MoveNet.
+            if not self._varies:
+                interpreter.allocate_tensors()
         except (ValueError, RuntimeError) as error:
             raise NetworkError(f"{self._path} is not a network LiteRT can run") from error
         return interpreter
