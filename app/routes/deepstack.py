@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
@@ -16,20 +16,16 @@ from app.api.schemas import (
 )
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
-from app.http.identity import (
-    NamesCamera,
-    identity_of,
-    position_of_key,
-    unauthorised,
-)
+from app.http.identity import NamesCamera, identity_of, position_of_key, unauthorised
 from app.messages import expected_and_got
-from app.routes.openapi import documented
+from app.routes.openapi import documented, documented_form
 from app.routes.queries import NoQuery
 from app.routes.uploads import (
+    MULTIPART,
     check_fields,
     file_of,
     form_of,
-    is_multipart,
+    has_type,
     text_of,
     unsupported_body,
 )
@@ -43,22 +39,13 @@ router = APIRouter(
     responses=documented(400, 401, 403, 408, 413, 415, 422, 503),
 )
 
-_DOCUMENTED: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "content": {
-            "multipart/form-data": {"schema": {"$ref": "#/components/schemas/DeepstackUpload"}}
-        },
-    }
-}
-
 
 async def _read_upload(request: Request) -> DeepstackUpload:
     # A wrong key in a header is refused before the body is read.
     identity = identity_of(request.scope)
     if identity.has_key and not identity.is_authorised:
         raise unauthorised(has_key=True)
-    if not is_multipart(request):
+    if not has_type(request, MULTIPART):
         raise unsupported_body(request)
     async with form_of(request) as form:
         api_keys = runtime_of(request).settings.api_keys
@@ -85,7 +72,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
     "/detection",
     operation_id="detect_deepstack",
     summary="People by their boxes, as DeepStack answers",
-    openapi_extra=_DOCUMENTED,
+    openapi_extra=documented_form(DeepstackUpload),
 )
 async def detect_deepstack(
     request: Request, upload: Annotated[DeepstackUpload, Depends(_read_upload)]

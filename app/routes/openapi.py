@@ -6,6 +6,7 @@ from typing import Any
 
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel
 
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
 from app.api.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
@@ -126,6 +127,15 @@ def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     )
     kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default", "examples")}
     return kind | kept | ({"examples": [""]} if "default" in schema else {})
+
+
+def documented_form(form: type[BaseModel], description: str = "") -> dict[str, Any]:
+    """Describe the body of a request as FastAPI would if it parsed the form itself."""
+    body: dict[str, Any] = {"required": True}
+    if description:
+        body["description"] = description
+    schema = {"$ref": f"#/components/schemas/{form.__name__}"}
+    return {"requestBody": {**body, "content": {"multipart/form-data": {"schema": schema}}}}
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
 from dataclasses import dataclass
-from typing import IO, Annotated, Any
+from typing import IO, Annotated
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
@@ -21,9 +21,9 @@ from app.film import VideoRun
 from app.http.errors import ProblemError
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
-from app.routes.openapi import documented
+from app.routes.openapi import documented, documented_form
 from app.routes.queries import GivenOnce, SequenceQuery
-from app.routes.uploads import check_fields, form_of, is_multipart, is_video, unsupported_body
+from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
 from app.video.reader import VideoFrame, VideoReader, new_file, open_video
@@ -34,17 +34,6 @@ router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
 _UNREAD_S = 30.0
 """A connection whose client reads nothing for this long is closed."""
-
-_DOCUMENTED: dict[str, Any] = {
-    "requestBody": {
-        "required": True,
-        "description": "A video may also be the body itself, as `video/mp4` or any other type of "
-        "video.",
-        "content": {
-            "multipart/form-data": {"schema": {"$ref": "#/components/schemas/VideoUpload"}}
-        },
-    }
-}
 
 
 class LineStream(StreamingResponse):
@@ -71,10 +60,10 @@ class LineStream(StreamingResponse):
 async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
     """Receive the video of a request into a file."""
     with new_file() as file:
-        if is_video(request):
+        if has_type(request, "video/"):
             async for chunk in request.stream():
                 file.write(chunk)
-        elif is_multipart(request):
+        elif has_type(request, MULTIPART):
             async with form_of(request) as form:
                 check_fields(form, VideoUpload.model_fields)
                 part = form.get("video")
@@ -130,7 +119,10 @@ async def _open(
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
-    openapi_extra=_DOCUMENTED,
+    openapi_extra=documented_form(
+        VideoUpload,
+        "A video may also be the body itself, as `video/mp4` or any other type of video.",
+    ),
 )
 async def analyse_sequence(
     request: Request,

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
@@ -23,30 +23,21 @@ from app.api.tracking_schemas import MAX_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
 from app.messages import expected_and_got, located, shortened
+from app.routes.openapi import documented_form
 from app.routes.queries import Timestamp, check_given_once, check_names
 from app.serving.runtime import runtime_of
 from app.settings import Settings
 from app.vision.geometry import Box
 
-_MULTIPART = "multipart/form-data"
+MULTIPART = "multipart/form-data"
 
 
-def is_multipart(request: Request) -> bool:
-    """Whether the content type says that the body is a form with files, in any case."""
-    return request.headers.get("content-type", "").lower().startswith(_MULTIPART)
+def has_type(request: Request, start: str) -> bool:
+    """Whether the content type of a request, in any case, begins like this."""
+    return request.headers.get("content-type", "").lower().startswith(start)
 
 
-def is_image(request: Request) -> bool:
-    """Whether the content type says that the body is an image."""
-    return request.headers.get("content-type", "").lower().startswith("image/")
-
-
-def is_video(request: Request) -> bool:
-    """Whether the content type says that the body is a video."""
-    return request.headers.get("content-type", "").lower().startswith("video/")
-
-
-def unsupported_body(request: Request, expected: str = _MULTIPART) -> ProblemError:
+def unsupported_body(request: Request, expected: str = MULTIPART) -> ProblemError:
     """Make a 415 for a body of any other type."""
     got = request.headers.get("content-type", "")[:100] or "none"
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
@@ -68,13 +59,13 @@ async def form_of(request: Request) -> AsyncIterator[FormData]:
     """Parse the form of a request; raise a 400 if it is none. Its files are closed at the end."""
     parser = _FormParser(request.headers, request.stream())
     if "boundary=" not in request.headers["content-type"].lower():
-        such = f"{_MULTIPART}; boundary=x"
+        such = f"{MULTIPART}; boundary=x"
         raise _broken_form(f"expected a boundary in the content type, such as {such}, got none")
     try:
         form = await parser.parse()
     except MultiPartException:
         raise _broken_form(
-            f"expected a well-formed {_MULTIPART} body of at most 1000 parts"
+            f"expected a well-formed {MULTIPART} body of at most 1000 parts"
         ) from None
     try:
         if not parser.is_complete:
@@ -132,30 +123,18 @@ _TIMESTAMP = TypeAdapter[float](Timestamp)
 _MAX_ITEM_CHARACTERS = 256  # Of a box or a track id, spaces and line breaks included.
 
 
-def _documented(form: type[FrameUpload]) -> dict[str, Any]:
-    return {
-        "requestBody": {
-            "required": True,
-            "description": "A photograph alone may also be the body itself, as `image/jpeg` or any "
-            "other type of image.",
-            "content": {
-                "multipart/form-data": {"schema": {"$ref": f"#/components/schemas/{form.__name__}"}}
-            },
-        }
-    }
-
-
-DOCUMENTED_UPLOAD = _documented(FrameUpload)
-"""The description that FastAPI would write if it parsed the form itself."""
-
-DOCUMENTED_TRACK_UPLOAD = _documented(TrackUpload)
+_OR_A_PHOTOGRAPH = (
+    "A photograph alone may also be the body itself, as `image/jpeg` or any other type of image."
+)
+DOCUMENTED_UPLOAD = documented_form(FrameUpload, _OR_A_PHOTOGRAPH)
+DOCUMENTED_TRACK_UPLOAD = documented_form(TrackUpload, _OR_A_PHOTOGRAPH)
 
 
 async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, float | None]:
-    if is_image(request):
+    if has_type(request, "image/"):
         return Upload(await request.body()), None
-    if not is_multipart(request):
-        raise unsupported_body(request, "multipart/form-data or image/*")
+    if not has_type(request, MULTIPART):
+        raise unsupported_body(request, f"{MULTIPART} or image/*")
     async with form_of(request) as form:
         check_fields(form, model.model_fields)
         boxes, timestamp = text_of(form, "boxes"), text_of(form, "timestamp")
