@@ -303,10 +303,9 @@ def _log_likelihoods(mass: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared lengths; NumPy is several times slower along axes of length two or three."""
-    x, y, *more = np.moveaxis(vectors, -1, 0)
-    squares: NDArray[np.float64] = x * x + y * y
-    for z in more:
-        squares += z * z
+    squares = vectors[..., 0] * vectors[..., 0]
+    for axis in range(1, vectors.shape[-1]):
+        squares += vectors[..., axis] * vectors[..., axis]
     return squares
 
 
