@@ -91,12 +91,10 @@ class Settings(BaseSettings):
         "is refused.",
     )
     request_timeout_s: _Seconds = Field(
-        default=10.0,
-        description="Longest time from the end of the upload to the reply.",
+        default=10.0, description="Longest time from the end of the upload to the reply."
     )
     upload_timeout_s: _Seconds = Field(
-        default=30.0,
-        description="Longest upload; a slower client gets a 408.",
+        default=30.0, description="Longest upload; a slower client gets a 408."
     )
 
     max_cameras: int = Field(
@@ -132,8 +130,7 @@ class Settings(BaseSettings):
         description="Largest request with a video, in bytes; it is kept in memory.",
     )
     video_upload_timeout_s: _Seconds = Field(
-        default=120.0,
-        description="Longest upload of a video.",
+        default=120.0, description="Longest upload of a video."
     )
     max_sequence_frames: int = Field(
         default=5000, ge=1, description="Most frames of a video that are processed."

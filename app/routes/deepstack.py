@@ -8,12 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Depends, Request
 from pydantic import ValidationError
 
-from app.api.schemas import (
-    MAX_PREDICTIONS,
-    DeepstackPrediction,
-    DeepstackResponse,
-    DeepstackUpload,
-)
+from app.api.schemas import MAX_PREDICTIONS, DeepstackPrediction, DeepstackResponse, DeepstackUpload
 from app.estimation.upload import Upload, UploadError
 from app.http.errors import ProblemError
 from app.http.identity import NamesCamera, identity_of, position_of_key, unauthorised
