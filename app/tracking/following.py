@@ -165,36 +165,21 @@ class _Scene:
         self._changed_at = -math.inf
 
     def is_still(
-        self,
-        frame: NDArray[np.uint8],
-        smallest_px: float,
-        timestamp: float,
-        tracks: Sequence[Track],
+        self, frame: NDArray[np.uint8], smallest_px: float, time: float, tracks: Sequence[Track]
     ) -> bool:
         """Whether nothing has changed for a while; the first frame counts as a change.
 
-        Parameters
-        ----------
-        frame : (H, W, 3) uint8 array
-            BGR.
-        smallest_px : float
-            Height of the smallest person wanted, in pixels of the frame.
-        timestamp : float
-            Seconds.
-        tracks : sequence of Track
-            Of people who may move.
+        The smallest person wanted is ``smallest_px`` high in the frame.
         """
         scale = min(1.0, _PERSON_CELLS / smallest_px)
         height, width = (max(1, round(side * scale)) for side in frame.shape[:2])
-        now = cv2.cvtColor(shrink_quickly(frame, width, height), cv2.COLOR_BGR2GRAY).astype(
-            np.uint8
-        )
-        self._now = now
-        places = [track.box_filter.predict(timestamp) for track in tracks]
+        small = shrink_quickly(frame, width, height)
+        self._now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
+        places = [track.box_filter.predict(time) for track in tracks]
         places += [self._boxes.setdefault(track, track.box_filter.seen) for track in tracks]
         if self._searched is None or self._differs(self._searched, now, scale, places):
-            self._changed_at = timestamp
-        return timestamp - self._changed_at >= _STILL_AFTER_S
+            self._changed_at = time
+        return time - self._changed_at >= _STILL_AFTER_S
 
     def restart(self) -> None:
         """Compare with the present frame from now on, since it is searched."""
