@@ -18,7 +18,7 @@ const LASTING = {
   arms_raised: { begin: "raises both arms", end: "lowers the arms" },
 };
 
-export function eventWords({ event, state, zones = [] }) {
+function eventWords({ event, state, zones = [] }) {
   const said = WORDS[event] ?? LASTING[event]?.[state === "end" ? "end" : "begin"] ?? `${inWords(event)}: ${state}`;
   const unconfirmed = state === "unconfirmed" ? " (unconfirmed)" : "";
   const where = zones.length ? `${event.startsWith("zone_") ? " " : ", in "}${zones.join(", ")}` : "";

@@ -1,7 +1,7 @@
 // Shrinks photographs before they are sent, and scales answers back to their pixels.
 
 /** The service detects people at half of this: a longer side costs time and adds nothing. */
-export const LONGEST_PX = 2560;
+const LONGEST_PX = 2560;
 
 /** The image to send and the image to draw. */
 export async function prepare({ frame, mask, background }) {

@@ -30,7 +30,7 @@ export function holdsLabels(pixels) {
 }
 
 /** Whether two pictures of the same size, as small copies, show one scene at different times. */
-export function showsSameScene(one, other) {
+function showsSameScene(one, other) {
   const grey = (pixels, at) => (pixels[at] + pixels[at + 1] + pixels[at + 2]) / 3;
   let equal = 0;
   for (let at = 0; at < one.length; at += 4) {

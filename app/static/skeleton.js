@@ -1,6 +1,6 @@
 // Skeletons in two dimensions, and the colours of people and of their sides.
 
-export const PEOPLE = [
+const PEOPLE = [
   "#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4",
   "#ff5c8a", "#9d7bff", "#b4dd3c", "#c98a5a", "#8fb8ff", "#ff9fd0",
 ];

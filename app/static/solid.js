@@ -6,7 +6,7 @@ const FLOOR_STEP_M = 0.5;
 const GHOST = "rgb(150 165 170 / 0.6)";
 
 /** The middle of some joints, and the farthest of them from it, in metres. */
-export function extent(joints) {
+function extent(joints) {
   const known = joints.filter(Boolean);
   const [x, y, z] = ["x", "y", "z"].map((axis) => known.reduce((sum, p) => sum + p[axis], 0) / known.length);
   const reach = Math.max(...known.map((p) => Math.hypot(p.x - x, p.y - y, p.z - z)));
