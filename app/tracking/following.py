@@ -138,9 +138,9 @@ def _followed(expected: Expected, timestamp: float) -> list[tuple[Target, Track 
     ]
 
 
-# Height of the smallest wanted person where frames are compared. Cells are means of many pixels,
-# so a sensor's noise of 4 levels becomes less than one.
-_PERSON_CELLS = 8
+# Height of the smallest wanted person where frames are compared, and their longest side. Cells are
+# means of many pixels, so a sensor's noise of 4 levels becomes less than one.
+_PERSON_CELLS, _MAX_CELLS = 8, 640
 # A change is a connected area, wider than it was by a cell on every side, that is this high: more
 # than half of the smallest person, and more than the digits of a camera's clock.
 _MIN_CHANGE_CELLS = 7
@@ -171,7 +171,7 @@ class _Scene:
 
         The smallest person wanted is ``smallest_px`` high in the frame.
         """
-        scale = min(1.0, _PERSON_CELLS / smallest_px)
+        scale = min(1.0, _PERSON_CELLS / smallest_px, _MAX_CELLS / max(frame.shape))
         height, width = (max(1, round(side * scale)) for side in frame.shape[:2])
         small = shrink_quickly(frame, width, height)
         self._now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
