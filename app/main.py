@@ -25,7 +25,7 @@ from app.routes import cameras, deepstack, index, pose, sequence, system
 from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
 from app.scheduling.executor import Executor
-from app.scheduling.process import configure_process
+from app.scheduling.process import configure_process, trim_heap
 from app.serving.loading import become_ready, keep_index_loaded, read_cameras
 from app.serving.runtime import VERSION, Runtime
 from app.settings import Settings, read_settings
@@ -94,7 +94,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(keep_index_loaded, runtime)
-            tasks.start_soon(_end_idle_sessions, runtime)
+            tasks.start_soon(_tidy_up, runtime)
             yield
             tasks.cancel_scope.cancel()
         executor.shut_down()
@@ -180,8 +180,11 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     )
 
 
-async def _end_idle_sessions(runtime: Runtime) -> None:
-    """End the sessions of cameras that have stopped sending."""
+async def _tidy_up(runtime: Runtime) -> None:
+    """End the sessions of cameras that have stopped sending, and return free memory."""
     while True:
         await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
         runtime.sessions.end_idle()
+        # Frames leave 30 MB. The next one needs a part again, and it takes as long as a tenth of
+        # its work to get that back from the system: too long after every frame.
+        runtime.executor.submit(trim_heap)

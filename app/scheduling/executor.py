@@ -15,7 +15,6 @@ Work on a frame must not start another frame: it would wait for a thread that ma
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections.abc import Callable, Coroutine, Hashable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -25,14 +24,12 @@ from functools import partial
 from typing import Any, TypeVar
 
 from app.scheduling.job import ClientGoneError, Job
-from app.scheduling.process import lower_thread_priority, trim_heap
+from app.scheduling.process import lower_thread_priority
 from app.scheduling.queue import FairQueue, Ticket
 
 T = TypeVar("T")
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-_TRIM_EVERY_S = 10.0
 
 
 class Executor:
@@ -56,7 +53,6 @@ class Executor:
             max(1, frames - 1), "helper", initializer=lower_thread_priority
         )
         self._jobs: set[Job] = set()
-        self._trimmed_at = -math.inf
 
     async def run(
         self,
@@ -166,7 +162,7 @@ class Executor:
 
     def _begin(self, ticket: Ticket, work: Callable[[Job], T], job: Job) -> Future[T]:
         loop, context = asyncio.get_running_loop(), copy_context()
-        future = self._threads.submit(context.run, self._work_and_trim, work, job)
+        future = self._threads.submit(context.run, work, job)
         self._jobs.add(job)
 
         def end(future: Future[T]) -> None:
@@ -177,17 +173,6 @@ class Executor:
 
         future.add_done_callback(end)
         return future
-
-    def _work_and_trim(self, work: Callable[[Job], T], job: Job) -> T:
-        try:
-            return work(job)
-        finally:
-            # Some ten megabytes stay behind. The next frame needs them again, and it takes as long
-            # as a tenth of its work to get them back from the system.
-            now = time.monotonic()
-            if now - self._trimmed_at > _TRIM_EVERY_S:
-                self._trimmed_at = now
-                trim_heap()
 
 
 def _retrieve_error(done: asyncio.Future[Any]) -> None:
