@@ -14,9 +14,10 @@ from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, SquarePixels, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
+from app.tracking.appearance import Patch, appearance_histogram
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.track import Sighting, Track, appearance_histogram, associate
+from app.tracking.track import Sighting, Track, associate
 from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
 from app.vision.geometry import Box
@@ -130,10 +131,13 @@ class CameraSession:
         self._start_afresh_if_needed(frame.shape, timestamp)
         sightings = self._find(upload, decoded, evidence, timestamp, job)
         if decoded.has_frame:
-            sightings = [_with_appearance(sighting, frame) for sighting in sightings]
+            sightings = [_with_looks(sighting, frame) for sighting in sightings]
         seen = self._identify(sightings, timestamp, zones)
-        self._drop_unseen(timestamp)
-        tracked = self._with_poses(seen, decoded, timestamp, n, zones, job)
+        self._drop_unseen(frame, timestamp)
+        seen += self._hidden_people(timestamp)
+        confirmed = [(person, track) for person, track in seen if track.track_id is not None]
+        confirmed.sort(key=lambda pair: pair[0].box.x)
+        tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
         # The time is stored only now, so that a frame that failed half-way may be sent again.
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
@@ -224,20 +228,15 @@ class CameraSession:
     def _identify(
         self, sightings: Sequence[Sighting], timestamp: float, zones: Sequence[Zone]
     ) -> list[tuple[Person, Track]]:
-        """Give each sighting a track, and return the people of confirmed ones, left to right.
-
-        People hidden behind another person are included at their expected places.
-        """
+        """Give each sighting a track; return the people with their tracks."""
         seen = []
         for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
             track = known or self._begin(sighting, timestamp)
             if track is not None:
                 track.see(sighting, timestamp)
                 seen.append((sighting.person, track))
-        seen += self._hidden_people(timestamp)
         self._confirm(timestamp, zones)
-        confirmed = [(person, track) for person, track in seen if track.track_id is not None]
-        return sorted(confirmed, key=lambda pair: pair[0].box.x)
+        return seen
 
     def _assign(self, sightings: Sequence[Sighting], timestamp: float) -> list[Track | None]:
         """The track of each sighting, None for a new person; the caller's identities decide."""
@@ -261,10 +260,12 @@ class CameraSession:
         return track
 
     def _hidden_people(self, timestamp: float) -> list[tuple[Person, Track]]:
+        """People behind others at their expected places, and those who fell where they lie."""
         return [
             (Person(box, "track", None, None), track)
             for track in self._tracks
-            if track.seen_at < timestamp and (box := self._hidden_box(track, timestamp)) is not None
+            if track.seen_at < timestamp
+            and (box := track.lies_at or self._hidden_box(track, timestamp)) is not None
         ]
 
     def _confirm(self, timestamp: float, zones: Sequence[Zone]) -> None:
@@ -275,17 +276,23 @@ class CameraSession:
                 self._given_ids += 1
                 self._events.append(track.confirm(self._given_ids, timestamp, zones))
 
-    def _drop_unseen(self, timestamp: float) -> None:
+    def _drop_unseen(self, frame: NDArray[np.uint8], timestamp: float) -> None:
+        """End the tracks of people who are not seen any more.
+
+        People who fell lie where they were last seen until the picture changes there.
+        """
         kept = []
         for track in self._tracks:
             predicted = track.track_id is not None and (
                 self._hidden_box(track, timestamp) is not None or self._vanished(track)
             )
             longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
-            if timestamp - track.seen_at <= longest:
-                kept.append(track)
-            else:
-                self._events += track.end(timestamp)
+            if timestamp - track.seen_at > longest:
+                events, stays = track.lose(frame, timestamp)
+                self._events += events
+                if not stays:
+                    continue
+            kept.append(track)
         self._tracks = kept
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
@@ -338,8 +345,10 @@ def _as_sent(tracked: TrackedPerson, pixels: SquarePixels) -> TrackedPerson:
     return replace(pixels.person_sent(tracked), pose=pose)
 
 
-def _with_appearance(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:
-    silhouette = sighting.person.silhouette
-    if silhouette is None:
+def _with_looks(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:
+    """A sighting with what the frame shows of the person."""
+    person = sighting.person
+    sighting = replace(sighting, patch=Patch.of(frame, person.box))
+    if person.silhouette is None:
         return sighting
-    return replace(sighting, appearance=appearance_histogram(frame, silhouette))
+    return replace(sighting, appearance=appearance_histogram(frame, person.silhouette))

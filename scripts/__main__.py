@@ -18,7 +18,15 @@ COMMANDS = {
     "render-people": ("scripts.training.render_people", "render people as photographs"),
     "train-photographs": (
         "scripts.training.train_photograph_models",
-        "train depth, posture and trust on rendered people",
+        "train depth and trust on rendered people",
+    ),
+    "render-postures": (
+        "scripts.training.render_postures",
+        "render people, hide and spoil them, and let the service read them",
+    ),
+    "train-postures": (
+        "scripts.training.train_postures",
+        "train the postures of photographs on what was read",
     ),
     "fit-people": (
         "scripts.training.fit_people",

@@ -271,7 +271,9 @@ class ActionRecogniser:
     def _recognise(
         self, person: Person, posture: EstimatedPosture | None
     ) -> RecognisedAction | None:
-        """The likeliest action of the window, if it is likely enough."""
+        """The likeliest action of the window, if it is likely enough; none of unclear postures."""
+        if posture is not None and posture.label == "unclear":
+            return None
         features = window_features([sample for sample, _ in self._window])
         votes = np.mean([votes for _, votes in self._window], axis=0)
         clarity, factors = 1.0, np.ones(len(self._model.actions))

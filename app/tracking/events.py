@@ -1,4 +1,9 @@
-"""What happens to a tracked person: they lie down, fall or raise both arms."""
+"""What happens to a tracked person: they lie down, fall or raise both arms.
+
+A fall is seen by the hips, which sink fast, and by the posture after it. Where the posture stays
+unclear, as of small people and of heads towards the camera, or where the person is lost, it is seen
+by the box, whose top sinks.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.results import Event, EventName, EventState
+from app.vision.geometry import Box
+from app.vision.silhouettes import gaps_to_border
 from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 # Time constant of the low-pass filter over the frames.
@@ -129,6 +136,72 @@ class DropDetector:
         return max(_MIN_ON_GROUND_AFTER_DEEP_DROP, needed)
 
 
+# A person sinks if the top of the box sinks by this share of its height within so many seconds, and
+# its lower edge rises by no more than another: behind a table, only the lower edge moves.
+_SINKS_BY, _SINKS_WITHIN_S, _MAX_RISE = 0.4, 1.6, 0.15
+# The same share for people who are lost at once: they may have sunk further.
+_SINKS_BEFORE_LOSS_BY, _LOST_WITHIN_S = 0.3, 2.0
+# They are up again once the top has risen by this share of the height.
+_UP_AGAIN_BY = 0.25
+
+
+class SinkDetector:
+    """Watches how far and how fast the top of a person's box sinks."""
+
+    def __init__(self) -> None:
+        self._recent: deque[tuple[float, Box]] = deque()
+        self._before: Box | None = None
+        self._top = 0.0
+        self.sunk_at: float | None = None
+        """Time at which the box had sunk far enough, seconds; None unless it is still low."""
+
+    def update(self, timestamp: float, box: Box) -> None:
+        """Add the box of a frame."""
+        self._recent.append((timestamp, box))
+        while self._recent[0][0] < timestamp - _SINKS_WITHIN_S:
+            self._recent.popleft()
+        before = self._sinks_from(_SINKS_BY)
+        if before is not None:
+            if self.sunk_at is None:
+                self.sunk_at, self._before = timestamp, before
+            self._top = box.y
+        elif self._before is not None and box.y < self._top - _UP_AGAIN_BY * self._before.height:
+            self.sunk_at = self._before = None
+
+    def was_lost(self, frame_shape: tuple[int, ...]) -> bool:
+        """Whether a person who is not seen any more sank in the middle of the frame.
+
+        People walk out of the frame at its left and right, and at its lower border, where their
+        feet leave it first.
+        """
+        if not self._recent:
+            return False
+        last_at, last = self._recent[-1]
+        before = self._sinks_from(_SINKS_BEFORE_LOSS_BY)
+        if self.sunk_at is not None and last_at - self.sunk_at <= _LOST_WITHIN_S:
+            before = self._before
+        if before is None:
+            return False
+        near = _BORDER_SHARE * np.array(frame_shape[:2])
+        left, _, right, lower = gaps_to_border(last, frame_shape)
+        leaves = max(lower, gaps_to_border(before, frame_shape)[3]) <= near[0]
+        return not leaves and min(left, right) > near[1]
+
+    def _sinks_from(self, share: float) -> Box | None:
+        """The highest recent box from which the last one has sunk by a share of its height."""
+        _, last = self._recent[-1]
+        higher = [
+            box
+            for _, box in self._recent
+            if last.y - box.y >= share * box.height
+            and last.bottom >= box.bottom - _MAX_RISE * box.height
+        ]
+        return min(higher, key=lambda box: box.y, default=None)
+
+
+# Share of the frame's sides from whose ends on people may be leaving it.
+_BORDER_SHARE = 0.02
+
 # Most time that a single frame counts for: just too short to begin an event.
 _MAX_STEP_S = 0.34
 # Longest time from a drop to the probability of being on the ground that makes it a fall.
@@ -136,18 +209,26 @@ _DOWN_WITHIN_S = 2.5
 STAYS_DOWN_S = 0.5
 """Time on the ground after the drop before a fall is reported."""
 
+STAYS_LOW_S = 2.5
+"""The same where the box has sunk and the posture stays unclear."""
+
+# Probability that a fall seen by the box alone is one.
+_SEEN_BY_BOX = 0.5
+
 
 class EventDetector:
-    """Watches the postures of one track, and the height of its hips."""
+    """Watches the postures of one track, the height of its hips, and its box."""
 
     def __init__(self) -> None:
         self._last_at: float | None = None
         self._lying, self._arms_raised = _Hysteresis(), _Hysteresis()
         self._down = _Hysteresis()
-        self._drop = DropDetector()
-        self._fallen = False
+        self._drop, self._sink = DropDetector(), SinkDetector()
+        self._rests = self._fallen = False
         self._down_s = 0.0
         """Seconds on the ground after a drop."""
+        self._low_s = 0.0
+        """Seconds in an unclear posture since the box sank."""
 
     def update(
         self,
@@ -156,7 +237,9 @@ class EventDetector:
         shares: NDArray[np.float64],
         reliability: Reliability,
         hips: HipHeight | None = None,
+        box: Box | None = None,
         *,
+        unclear: bool = False,
         rests: bool = False,
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
@@ -174,6 +257,10 @@ class EventDetector:
             ground.
         hips : HipHeight, optional
             Height of the hips; None if they are not seen.
+        box : Box, optional
+            Of what is seen of the person.
+        unclear : bool
+            Whether the track's posture is unclear.
         rests : bool
             Whether the person is in a zone for resting, where lying is no event.
         """
@@ -195,8 +282,27 @@ class EventDetector:
             self._drop.update(timestamp, hips)
         on_the_ground = 0.0 if rests else share(*ON_THE_GROUND)
         self._down.update(timestamp, on_the_ground, reliability.person * elapsed)
-        fell: EventState | None = "instant" if self._fell(timestamp, elapsed) else None
-        return (*events, *happened("fell", fell, self._down.level))
+        self._rests = rests
+        if box is not None:
+            self._sink.update(timestamp, box)
+        fell = self._fell(timestamp, elapsed)
+        level = self._down.level if fell else _SEEN_BY_BOX
+        fell |= self._stays_low(elapsed, unclear=unclear)
+        return (*events, *happened("fell", "instant" if fell else None, level))
+
+    def lost(
+        self, track_id: int, timestamp: float, frame_shape: tuple[int, ...]
+    ) -> tuple[Event, ...]:
+        """The fall of a person who sank and is not seen any more, if they did."""
+        if self._fallen or self._rests or not self._sink.was_lost(frame_shape):
+            return ()
+        self._fallen = True
+        return (Event("fell", track_id, "instant", timestamp, _SEEN_BY_BOX),)
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the person fell and was not seen to get up."""
+        return self._fallen
 
     def unconfirmed(self, track_id: int) -> tuple[Event, ...]:
         """Events that had begun to show at the last frame but were not certain."""
@@ -220,7 +326,7 @@ class EventDetector:
     def _fell(self, timestamp: float, elapsed: float) -> bool:
         """Whether a fall has become certain; true only once until the person is up again."""
         drop, level = self._drop, self._down.level
-        if level < _ENDS_BELOW:
+        if level < _ENDS_BELOW and self._sink.sunk_at is None:
             self._fallen = False
         if drop.dropped_at is None or level < drop.min_on_ground():
             self._down_s = 0.0
@@ -229,6 +335,17 @@ class EventDetector:
             return False
         self._down_s += elapsed
         if self._fallen or self._down_s < STAYS_DOWN_S:
+            return False
+        self._fallen = True
+        return True
+
+    def _stays_low(self, elapsed: float, *, unclear: bool) -> bool:
+        """Whether the box has sunk and stays low while the posture is unclear; true only once."""
+        if self._sink.sunk_at is None or not unclear or self._rests:
+            self._low_s = 0.0
+            return False
+        self._low_s += elapsed
+        if self._fallen or self._low_s < STAYS_LOW_S:
             return False
         self._fallen = True
         return True

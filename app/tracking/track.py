@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import lap
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +13,13 @@ from numpy.typing import NDArray
 from app.estimation.posture import EstimatedPosture, PostureFilter
 from app.estimation.results import Facing, Person
 from app.tracking.actions import ActionRecogniser
+from app.tracking.appearance import Patch, appearance_distance
 from app.tracking.events import EventDetector, HipHeight, Reliability
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
-from app.vision.people import Silhouette
 from index.posture import PostureName
 from index.skeleton import side_rows
 
@@ -36,12 +35,15 @@ class Sighting:
     person : Person
     appearance : (80,) float32 array or None
         Colours; None where there is no photograph or no silhouette.
+    patch : Patch or None
+        The person's place in the picture; None where there is no photograph.
     track : Track or None
         The track in whose window the person was read, or that the caller named.
     """
 
     person: Person
     appearance: NDArray[np.float32] | None = None
+    patch: Patch | None = None
     track: Track | None = None
 
 
@@ -89,6 +91,9 @@ class Track:
         """Highest probability of a person given by the detector; 1 if the caller said so."""
         self.seen_at = timestamp
         """Time of the last sighting, seconds."""
+        self.lies_at: Box | None = None
+        """Where a person lies who fell and is not seen any more; None for others."""
+        self._patch = sighting.patch
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
         self.appearance = sighting.appearance
@@ -133,7 +138,7 @@ class Track:
             gain = 1 - math.exp(-elapsed / _WINDOW_MEAN_S)
             odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
-        self.next_window = person.next_window
+        self.next_window, self._patch, self.lies_at = person.next_window, sighting.patch, None
         if self.appearance is None:
             self.appearance = sighting.appearance
         # A partly hidden person would take on the colours of the person in front.
@@ -185,6 +190,8 @@ class Track:
             shares,
             _reliability(person, smoothed.pose),
             hip_height(person, smoothed),
+            self.box_filter.seen,
+            unclear=self._known_posture() is None,
             rests=is_rest(self._zone_watch.zones),
         )
         tracked = self._tracked(person, smoothed.pose)
@@ -212,6 +219,21 @@ class Track:
         if self.track_id is None:
             return []
         return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
+
+    def lose(self, frame: NDArray[np.uint8], timestamp: float) -> tuple[list[Event], bool]:
+        """The events of a person who is not seen any more, and whether the track goes on.
+
+        It does where the person fell, and the picture still shows the same at their place.
+        """
+        if self.track_id is None:
+            return [], False
+        fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
+        events = [*map(self._annotated, fell)]
+        stays = self._patch is not None and self._patch.is_shown_by(frame)
+        if self._event_detector.has_fallen and stays:
+            self.lies_at = self.box_filter.seen
+            return events, True
+        return events + self.end(timestamp), False
 
     def end(self, timestamp: float) -> list[Event]:
         """End the track; return the zones that the person leaves, and that they have left."""
@@ -440,40 +462,3 @@ class BoxFilter:
     def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
         travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
         return np.asarray(self._place + travel * self.velocity)
-
-
-_HUES, _SATURATIONS, _GREYS = 8, 4, 8
-
-
-def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
-    """Colours of the upper and lower half of a person.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    silhouette : Silhouette
-        Of the person, in the frame.
-
-    Returns
-    -------
-    (2 * 40,) float32 array
-        Histograms of hue by saturation, and of brightness, for each half; they sum to 1.
-    """
-    rows, columns = silhouette.crop.shape
-    left, top = silhouette.left, silhouette.top
-    crop = cv2.cvtColor(frame[top : top + rows, left : left + columns], cv2.COLOR_BGR2HSV)
-    mask = silhouette.crop.view(np.uint8)
-    parts = []
-    for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
-        pixels, inside = crop[half], mask[half]
-        colour = cv2.calcHist([pixels], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
-        grey = cv2.calcHist([pixels], [2], inside, [_GREYS], [0, 256])
-        parts += [colour.ravel(), grey.ravel()]
-    histogram = np.concatenate(parts)
-    return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
-
-
-def appearance_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
-    """Hellinger distance of two histograms, 0 to 1."""
-    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))

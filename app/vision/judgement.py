@@ -19,7 +19,7 @@ from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
 from app.vision.models import network_path
 from app.vision.odds import logit, sigmoid, softmax
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES, landmark_rows
+from app.vision.people import LANDMARK_NAMES, coco_rows, landmark_rows
 from app.vision.tflite import NetworkError
 
 
@@ -77,6 +77,22 @@ class Judgement:
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What postures are estimated from.
+
+    Parameters
+    ----------
+    body : (F,) float64 array
+        :func:`posture_features`, :func:`trust_features` and :func:`visibility_features`.
+    surroundings : (M,) float32 array
+        :func:`region_features`.
+    """
+
+    body: NDArray[np.float64]
+    surroundings: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class PhotographModels:
     """The models of depth, trust and posture."""
 
@@ -88,7 +104,9 @@ class PhotographModels:
         """A reading in three dimensions; ``ValueError`` if it is not from the network."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
-    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+    def judge(
+        self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
+    ) -> Judgement:
         """A reading in three dimensions, how far to trust it, and its posture.
 
         Raises
@@ -96,27 +114,32 @@ class PhotographModels:
         ValueError
             If the reading is not from the network.
         """
+        body, trust, evidence = self.evidence(reading, camera, frame_shape)
+        return Judgement(body, trust, self.posture.estimate(evidence, trust.right))
+
+    def evidence(
+        self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
+    ) -> tuple[Body3D, Trust, Evidence]:
+        """A reading in three dimensions, how far to trust it, and what shows its posture."""
         body, given, landmarks = self.body(reading, camera), reading.raw, reading.landmarks
-        evidence = trust_features(
+        trusted = trust_features(
             given.points[None],
             given.world[None],
             np.array([given.presence]),
             given.last[None],
             body.sigmas[None],
-        )
-        trust = self.trust.estimate(evidence[0])
+        )[0]
         box = landmarks.box()
         shape = posture_features(
-            body.points[None],
-            landmarks.visibility[None],
-            np.array([reading.window.roll_deg]),
-            np.array([reading.presence]),
-            np.array([box.width / box.height]),
+            body.points,
+            landmarks.visibility,
+            reading.window.roll_deg,
+            reading.presence,
+            box.width / box.height,
         )
-        posture = self.posture.estimate(
-            np.hstack([shape, evidence])[0], region_features(given.sampled[None])[0], trust.right
-        )
-        return Judgement(body, trust, posture)
+        seen = visibility_features(reading, frame_shape)
+        evidence = Evidence(np.concatenate([shape, trusted, seen]), region_features(given.sampled))
+        return body, self.trust.estimate(trusted), evidence
 
 
 def load_photograph_models(path: Path | None = None) -> PhotographModels:
@@ -237,9 +260,9 @@ class PostureModel:
     Parameters
     ----------
     by_body : DenseNetwork
-        Scores of :data:`FRAME_POSTURES`, from :func:`posture_features` and :func:`trust_features`.
+        Scores of :data:`FRAME_POSTURES` from the evidence of bodies.
     by_surroundings : DenseNetwork
-        The same scores, from :func:`region_features` as well.
+        The same scores, from that of their surroundings as well.
     sharpness : (2,) float64 array
         The scores are multiplied by a factor: the less of a person is seen, the less certain is the
         posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
@@ -257,11 +280,9 @@ class PostureModel:
         both = self.by_surroundings(np.hstack([body, surroundings]))
         return np.asarray((self.by_body(body) + both) / 2, np.float32)
 
-    def estimate(
-        self, body: NDArray[np.float64], surroundings: NDArray[np.float32], right: float
-    ) -> FramePosture:
-        """Posture of a body from features ``(F,)``, ``(M,)`` and the chance of right landmarks."""
-        scores = self.scores(body[None], surroundings[None])
+    def estimate(self, evidence: Evidence, right: float) -> FramePosture:
+        """Posture of a person, with the probability that their landmarks are right."""
+        scores = self.scores(evidence.body[None], evidence.surroundings[None])
         return FramePosture(sharpened(scores, np.array([right]), self.sharpness)[0])
 
 
@@ -280,12 +301,39 @@ _TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
 
 
 def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Means over the trunk and over the legs ``(N, 2 C)`` of a map at the landmarks ``(N, 33, C)``.
+    """Means over the trunk and over the legs ``(2 C,)`` of a map at the landmarks ``(33, C)``.
 
     They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
     """
-    parts = [sampled[:, rows].astype(np.float32).mean(axis=1) for rows in (_TRUNK, _LEGS)]
-    return np.hstack(parts)
+    return np.concatenate(
+        [sampled[rows].astype(np.float32).mean(axis=0) for rows in (_TRUNK, _LEGS)]
+    )
+
+
+_KEYPOINT_PAIRS = [
+    coco_rows(part) for part in ("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+]
+# Scores of MoveNet from which a keypoint is certainly seen, and gaps to the border, in sizes of the
+# body, from which the border cuts nothing off: beyond them, the features stay the same.
+_CERTAIN_SCORE, _FAR_GAP = 0.5, 0.5
+
+
+def visibility_features(reading: PoseReading, frame_shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Which parts of a body are seen at all ``(18,)``.
+
+    If the frame cuts legs off, or something covers them, the landmark network squeezes the whole
+    body into what is left and reports all of it as visible. MoveNet gives low scores to keypoints
+    that it does not see, and the squeezed body ends at the border.
+    """
+    scores, known = np.zeros((len(_KEYPOINT_PAIRS), 2)), 0.0
+    if reading.keypoints is not None:
+        scores, known = reading.keypoints.scores[np.array(_KEYPOINT_PAIRS)], 1.0
+    box = reading.landmarks.box()
+    height, width = frame_shape[:2]
+    aside = min(box.x, width - box.x - box.width)
+    gaps = np.array([aside, box.y, height - box.y - box.height]) / reading.body_px
+    seen = np.sort(np.minimum(scores, _CERTAIN_SCORE), axis=1)
+    return np.array([*seen.ravel(), known, *np.clip(gaps, -_FAR_GAP, _FAR_GAP)])
 
 
 _EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]
@@ -294,78 +342,72 @@ _EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]
 def posture_features(
     points: NDArray[np.float64],
     visibility: NDArray[np.float64],
-    roll_deg: NDArray[np.float64],
-    presence: NDArray[np.float64],
-    box_aspect: NDArray[np.float64],
+    roll_deg: float,
+    presence: float,
+    box_aspect: float,
 ) -> NDArray[np.float64]:
-    """Features from which postures are estimated; they do not distinguish left from right.
+    """The shape of a body ``(F,)``; it does not distinguish left from right.
 
     Parameters
     ----------
-    points : (N, 33, 3) float64 array
+    points : (33, 3) float64 array
         Landmarks, metres, camera axes: y down.
-    visibility : (N, 33) float64 array
-    roll_deg : (N,) float64 array
-        Of the windows.
-    presence : (N,) float64 array
+    visibility : (33,) float64 array
+    roll_deg : float
+        Of the window.
+    presence : float
         As the network gives it.
-    box_aspect : (N,) float64 array
+    box_aspect : float
         Width over height of the box about the landmarks.
-
-    Returns
-    -------
-    (N, F) float64 array
     """
 
     def middle(rows: list[int]) -> NDArray[np.float64]:
-        return points[:, rows].mean(axis=1)
+        return np.asarray(points[rows].mean(axis=0))
 
     trunk = middle(_SHOULDERS) - middle(HIPS)
-    thighs = points[:, _KNEES] - points[:, HIPS]
-    shanks = points[:, _ANKLES] - points[:, _KNEES]
+    thighs = points[_KNEES] - points[HIPS]
+    shanks = points[_ANKLES] - points[_KNEES]
     head = middle(_EARS) - middle(_SHOULDERS)
-    hip = (_unit(thighs) * _unit(trunk)[:, None]).sum(axis=-1)
-    knee = (_unit(thighs) * _unit(shanks)).sum(axis=-1)
-    legs = np.linalg.norm(thighs, axis=-1).mean(1) + np.linalg.norm(shanks, axis=-1).mean(1)
-    legs = np.maximum(legs, 0.2)
-    slopes = [np.sort(-_unit(bones)[..., 1], axis=1) for bones in (thighs, shanks)]
-    heights = -points[..., 1]
-    lowest = heights[:, _EXTENT].min(axis=1)
-    extent = np.ptp(points[:, _EXTENT], axis=1)
+    hip = _unit(thighs) @ _unit(trunk)
+    knee = (_unit(thighs) * _unit(shanks)).sum(axis=1)
+    legs = np.linalg.norm(thighs, axis=1).mean() + np.linalg.norm(shanks, axis=1).mean()
+    legs = max(legs, 0.2)
+    heights = -points[:, 1]
+    lowest = heights[_EXTENT].min()
+    extent = np.ptp(points[_EXTENT], axis=0)
     roll = np.deg2rad(roll_deg)
-    forward = [_unit(bone)[:, 2] for bone in (trunk, thighs.mean(axis=1), shanks.mean(axis=1))]
-    return np.column_stack(
+    thigh, shank = thighs.mean(axis=0), shanks.mean(axis=0)
+    return np.array(
         [
-            *_slopes(trunk),
-            *_slopes(thighs.mean(axis=1)),
-            *_slopes(shanks.mean(axis=1)),
-            *_slopes(head),
-            *(pair[:, side] for pair in slopes for side in (0, 1)),
-            *forward,
-            *(np.sort(angle, axis=1)[:, side] for angle in (hip, knee) for side in (0, 1)),
-            extent[:, 1],
-            np.log((extent[:, 1] + 0.05) / (np.hypot(extent[:, 0], extent[:, 2]) + 0.05)),
-            (heights[:, HIPS].mean(axis=1) - lowest) / legs,
-            (heights[:, _SHOULDERS].mean(axis=1) - lowest) / legs,
-            (heights[:, _WRISTS].min(axis=1) - lowest) / legs,
-            (heights[:, _KNEES].min(axis=1) - lowest) / legs,
+            *(slope for bone in (trunk, thigh, shank, head) for slope in _slopes(bone)),
+            *np.sort(-_unit(thighs)[:, 1]),
+            *np.sort(-_unit(shanks)[:, 1]),
+            *(_unit(bone)[2] for bone in (trunk, thigh, shank)),
+            *np.sort(hip),
+            *np.sort(knee),
+            extent[1],
+            np.log((extent[1] + 0.05) / (np.hypot(extent[0], extent[2]) + 0.05)),
+            (heights[HIPS].mean() - lowest) / legs,
+            (heights[_SHOULDERS].mean() - lowest) / legs,
+            (heights[_WRISTS].min() - lowest) / legs,
+            (heights[_KNEES].min() - lowest) / legs,
             np.sin(roll),
             np.cos(roll),
             presence,
             np.log(np.clip(box_aspect, 0.05, 20)),
-            visibility[:, _KNEES].max(axis=1),
-            visibility[:, _ANKLES].max(axis=1),
-            visibility[:, HIPS].max(axis=1),
+            visibility[_KNEES].max(),
+            visibility[_ANKLES].max(),
+            visibility[HIPS].max(),
         ]
     )
 
 
-def _slopes(bones: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Sine of the elevation of bones ``(N, 3)``, and its complement."""
-    sine = -_unit(bones)[:, 1]
-    return [sine, np.sqrt(np.maximum(1 - sine**2, 0))]
+def _slopes(bone: NDArray[np.float64]) -> tuple[float, float]:
+    """Sine of the elevation of a bone ``(3,)``, and its complement."""
+    sine = -float(_unit(bone)[1])
+    return sine, np.sqrt(max(1 - sine**2, 0.0))
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(lengths, 1e-6)
+    return np.asarray(vectors / np.maximum(lengths, 1e-6))

@@ -266,7 +266,7 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
     views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
     return any(
         gap <= near and view[:, : int(near - gap) + 1].any(axis=1).mean() > _MIN_BORDER_RUN
-        for gap, view in zip(_gaps(silhouette.box, frame_shape), views, strict=True)
+        for gap, view in zip(gaps_to_border(silhouette.box, frame_shape), views, strict=True)
     )
 
 
@@ -291,10 +291,10 @@ _UNSEEN_END_SHARE = 0.05
 def ends_at_border(box: Box, frame_shape: tuple[int, ...]) -> bool:
     """Whether a person's box ends so near the frame's edge that it may cut them."""
     reach = _UNSEEN_END_SHARE * max(box.width, box.height)
-    return min(_gaps(box, frame_shape)) <= reach
+    return min(gaps_to_border(box, frame_shape)) <= reach
 
 
-def _gaps(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:
+def gaps_to_border(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:
     """Pixels between a box and the frame's left, upper, right and lower edge."""
     height, width = frame_shape[:2]
     return box.x + 0.5, box.y + 0.5, width - 0.5 - box.right, height - 0.5 - box.bottom

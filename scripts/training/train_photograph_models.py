@@ -1,4 +1,4 @@
-"""Train the models of depth, posture and trust on rendered people: see ``docs/training.md``.
+"""Train the models of depth and trust on rendered people: see ``docs/training.md``.
 
 Writes ``app/vision/models/photograph_models.npz``; the same bytes for the same windows. Everything
 is chosen and calibrated on one half of the held-out renders and reported on the other. No real
@@ -22,7 +22,6 @@ from sklearn.metrics import roc_auc_score
 
 from app.vision.blazepose import LANDMARKS
 from app.vision.depth import (
-    HIPS,
     RESIDUAL_M,
     DenseNetwork,
     Depths,
@@ -31,29 +30,13 @@ from app.vision.depth import (
     network_depths,
     sight_features,
 )
-from app.vision.judgement import (
-    FRAME_POSTURES,
-    PostureModel,
-    TrustModel,
-    posture_features,
-    region_features,
-    sharpened,
-    trust_features,
-)
+from app.vision.judgement import TrustModel, trust_features
 from app.vision.models import FOLDER, MODELS
-from app.vision.odds import sigmoid
-from app.vision.optics import PinholeCamera, place_on_sight_lines, roll_rotation, to_line_of_sight
 from index.build.calibrate import expected_calibration_error
-from scripts.training.fit_dense import averaged, fit_dense, with_outputs
+from scripts.training.fit_dense import fit_dense, with_outputs
 from scripts.training.photograph_data import LIMBS, TrainingRows, read_rows
 
 FILE = FOLDER / "photograph_models.npz"
-
-ENSEMBLE = 3
-"""Number of networks whose mean is each of the two posture networks."""
-
-NOBODY_FROM = 0.1
-"""The network's presence from which it takes a window without people for a person."""
 
 BLOCK = 4096
 """Windows corrected at a time."""
@@ -130,70 +113,14 @@ def calibrated(
     return with_outputs(trust, factors, offsets)
 
 
-def posture_inputs(rows: TrainingRows, depths: Depths) -> NDArray[np.float64]:
-    """Shapes of the bodies, and what trust is made of, for the posture model."""
-    places = rows.found_places
-    visibility = sigmoid(rows.points[:, :LANDMARKS, 3].astype(np.float64))
-    placed = np.empty((len(rows), LANDMARKS, 3))
-    for row in range(len(rows)):
-        # As the service places them, about the hips in camera axes.
-        camera = PinholeCamera(rows.read_focal[row], rows.centre[row])
-        to_sight = to_line_of_sight(camera.rays(rows.window[row, :2]))
-        axes = roll_rotation(rows.window[row, 3]) @ to_sight
-        metres = rows.world[row, :LANDMARKS].astype(np.float64)
-        metres = metres - metres[HIPS].mean(axis=0)
-        metres[:, 2] = depths.metres[row]
-        rays, weights = camera.rays(places[row]), np.maximum(visibility[row], 0.05)
-        points = place_on_sight_lines(metres, rays, axes, weights).points
-        placed[row] = points - points[HIPS].mean(axis=0)
-    width, height = (np.maximum(np.ptp(places[..., axis], axis=1), 1.0) for axis in (0, 1))
-    presence = rows.presence.astype(np.float64)
-    shapes = posture_features(placed, visibility, rows.window[:, 3], presence, width / height)
-    return np.hstack([shapes, trust_inputs(rows, depths)])
-
-
-def train_posture(
-    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int,
-    **options: Any,
-) -> DenseNetwork:  # fmt: skip
-    """The mean of a few networks with one hidden layer: their scores differ by chance."""
-    import torch
-
-    def loss(outputs: Any, targets: Any) -> Any:
-        return torch.nn.functional.cross_entropy(outputs, targets[:, 0].long())
-
-    return averaged([
-        fit_dense(
-            features, classes[:, None].astype(np.float32), len(FRAME_POSTURES), loss,
-            epochs=epochs, seed=seed + number, batch=64, **options,
-        )
-        for number in range(ENSEMBLE)
-    ])  # fmt: skip
-
-
-def fit_sharpness(
-    scores: NDArray[np.floating], right: NDArray[np.float64], classes: NDArray[np.int64]
-) -> NDArray[np.float64]:
-    """Sharpness ``(2,)`` that makes the truth likeliest; the truth of nobody (-1) is uniform."""
-    count = scores.shape[1]
-    truth = np.where(classes[:, None] < 0, 1 / count, np.eye(count)[classes])
-
-    def loss(sharpness: NDArray[np.float64]) -> float:
-        likely = np.log(sharpened(scores, right, sharpness) + 1e-9)
-        return float(-(truth * likely).sum(axis=1).mean())
-
-    grid = [np.array([a, b]) for a in np.linspace(-0.8, 1.2, 41) for b in np.linspace(0, 0.6, 25)]
-    return min(grid, key=loss)
-
-
 def train_models(train: TrainingRows, held: TrainingRows, epochs: int, seed: int) -> dict[str, Any]:
-    """Arrays of all models; figures on the second half of the held-out windows are printed."""
+    """Arrays of both models; figures on the second half of the held-out windows are printed."""
     begun = time.monotonic()
 
     def say(text: str) -> None:
         print(f"[{time.monotonic() - begun:5.0f} s] {text}", flush=True)
 
-    # Posture and trust learn from depths that were corrected by a model of other photographs.
+    # Trust learns from depths that were corrected by a model of other photographs.
     crossed = Depths(*np.zeros((2, len(train), LANDMARKS)))
     even = train.scene % 2 == 0
     for number, half in enumerate((even, ~even)):
@@ -219,30 +146,7 @@ def train_models(train: TrainingRows, held: TrainingRows, epochs: int, seed: int
     trusted = TrustModel(trust).probabilities(trust_inputs(held, found))
     say(trust_report(held, trusted, held.decided & ~calibrates))
 
-    bodies, held_bodies = posture_inputs(train, crossed), posture_inputs(held, found)
-    around, held_around = region_features(train.sampled), region_features(held.sampled)
-    classes = train.posture[train.teaches]
-    by_body = train_posture(
-        bodies[train.teaches], classes, epochs, seed + 10, hidden=(48,), dropout=0.3, noise=0.3
-    )
-    by_surroundings = train_posture(
-        np.hstack([bodies, around])[train.teaches], classes, epochs, seed + 20,
-        hidden=(96,), dropout=0.4, noise=0.5, decay=0.1,
-    )  # fmt: skip
-    posture = PostureModel(by_body, by_surroundings, np.zeros(2))
-    scores, right = posture.scores(held_bodies, held_around), trusted[:, 1]
-    # Windows without people that the network takes for people limit the certainty.
-    asked = (held.presence > NOBODY_FROM) & calibrates
-    sharpness = fit_sharpness(scores[asked], right[asked], held.posture[asked])
-    say(f"posture: sharpness {sharpness[0]:.2f} {sharpness[1]:.2f}")
-    tests = held.teaches & ~calibrates
-    say(posture_report(sharpened(scores, right, sharpness)[tests], held.posture[tests]))
-    arrays: dict[str, Any] = {"posture.trust": sharpness}
-    networks = {"depth": depth, "doubt": trust, "posture.by_body": by_body,
-                "posture.by_surroundings": by_surroundings}  # fmt: skip
-    for name, network in networks.items():
-        arrays |= network.arrays(name)
-    return arrays
+    return depth.arrays("depth") | trust.arrays("doubt")
 
 
 def depth_report(held: TrainingRows, found: Depths, rows: NDArray[np.bool_]) -> str:
@@ -261,18 +165,6 @@ def depth_report(held: TrainingRows, found: Depths, rows: NDArray[np.bool_]) -> 
         f"depth of limb joints {own.mean():.0f} -> {error.mean():.0f} mm; by quartile of sigma "
         f"{by}; mean sigma {sigma.mean():.0f}"
     )
-
-
-def posture_report(given: NDArray[np.float64], classes: NDArray[np.int64]) -> str:
-    """How often postures are right, calibration, and confusions."""
-    best, sure = given.argmax(axis=1), given.max(axis=1)
-    right, lines = best == classes, []
-    for number, name in enumerate(FRAME_POSTURES):
-        rows = classes == number
-        shares = np.bincount(best[rows], minlength=len(FRAME_POSTURES)) / max(rows.sum(), 1)
-        lines.append(f"    {name:10s} {rows.sum():5d}  " + "  ".join(f"{s:.2f}" for s in shares))
-    error = expected_calibration_error(sure, right)
-    return "\n".join([f"posture right {right.mean():.3f}, ECE {error:.3f}", *lines])
 
 
 def trust_report(held: TrainingRows, given: NDArray[np.float64], rows: NDArray[np.bool_]) -> str:
@@ -297,9 +189,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     train = TrainingRows.of(read_rows(options.train), options.seed)
     held = TrainingRows.of(read_rows([options.held_out]), options.seed + 1)
-    np.savez_compressed(options.out, **train_models(train, held, options.epochs, options.seed))
-    print(f"{options.out}: {options.out.stat().st_size} bytes")
-    if options.out.resolve() == FILE:
+    store(train_models(train, held, options.epochs, options.seed), options.out)
+
+
+def store(arrays: dict[str, Any], file: Path) -> None:
+    """Write arrays into a file of models, beside others that it has."""
+    kept: dict[str, Any] = {}
+    if file.exists():
+        with np.load(file) as stored:
+            kept = dict(stored)
+    np.savez_compressed(file, **(kept | arrays))
+    print(f"{file}: {file.stat().st_size} bytes")
+    if file.resolve() == FILE:
         document = json.loads(MODELS.read_text())
         document["photograph_models"]["sha256"] = hashlib.sha256(FILE.read_bytes()).hexdigest()
         MODELS.write_text(json.dumps(document, indent=1) + "\n")

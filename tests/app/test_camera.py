@@ -6,6 +6,7 @@ import contextlib
 import sys
 from collections import deque
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ from app.scheduling.job import DeadlineError, Job
 from app.tracking.actions import shipped_model
 from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
-from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
+from tests.app.drawn import COLOURS, COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import png
 from tests.support.jobs import ShortJob
 
@@ -206,6 +207,29 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
         assert ids(with_boxes(step / 10, 105)) == [1, 2]
     later = with_boxes(2.8, 105)
     assert ids(later) == [2] and events(later) == [("left", 1)]
+
+
+def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(session: CameraSession) -> None:
+    other, stands = Box(19.5, 59.5, 30, PERSON), Box(149.5, 59.5, 30, PERSON)
+    pixels = np.asarray(cv2.imdecode(np.frombuffer(draw((1, 20)), np.uint8), cv2.IMREAD_COLOR))
+    pixels[125:150, 150:220] = COLOURS[0]
+    lying = png(pixels.astype(np.uint8))
+
+    def frame(step: int, picture: bytes, *boxes: Box) -> TrackedFrame:
+        return session.process(Upload(picture, boxes=boxes), step / 10, 3, Job())
+
+    for step in range(10):
+        frame(step, draw((0, 150), (1, 20)), stands, other)
+    for step, top in ((10, 80), (11, 100), (12, 124)):
+        frame(step, lying, Box(149.5, top + 0.5, 40 + (top - 60) / 2, 149 - top), other)
+    happened = []
+    for step in range(13, 60):
+        shown = frame(step, lying, other)
+        happened += [event.event for event in shown.events if event.track_id == 1]
+    assert happened == ["fell"]
+    assert {one.track_id: one.source for one in shown.persons}[1] == "track"
+    gone = frame(60, draw((1, 20)), other)
+    assert ids(gone) == [2] and ("left", 1) in events(gone)
 
 
 def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:

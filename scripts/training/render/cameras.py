@@ -46,13 +46,18 @@ class Camera:
 
 
 def sample_camera(
-    target: NDArray[np.float64], floor: float, generator: Generator, *, close: bool
+    target: NDArray[np.float64],
+    floor: float,
+    generator: Generator,
+    *,
+    close: bool,
+    azimuth: float | None = None,
 ) -> Camera:
     """A camera that sees a target ``(3,)`` somewhere in its frame.
 
     At eye level, below a ceiling, near the floor, or high above a street; off axis as often as not;
     one in eight holds the target at its border. ``close`` cameras stand within arm's reach to two
-    metres, as on a desk or a shelf.
+    metres, as on a desk or a shelf. The azimuth about the target is a given one, or any.
     """
     chance = generator.random()
     if close:
@@ -65,7 +70,8 @@ def sample_camera(
         height, distance = generator.uniform(0.08, 0.8), np.exp(generator.uniform(0.3, 2.0))
     else:
         height, distance = generator.uniform(3.0, 8.0), np.exp(generator.uniform(1.0, 2.9))
-    azimuth = generator.uniform(0, 2 * np.pi)
+    if azimuth is None:
+        azimuth = generator.uniform(0, 2 * np.pi)
     away = distance * np.array([np.sin(azimuth), 0.0, np.cos(azimuth)])
     place = np.array([target[0] + away[0], floor + height, target[2] + away[2]])
     aspect = float(generator.choice(ASPECTS))

@@ -189,11 +189,13 @@ def blanket(
 
 def lap_blanket(
     body: NDArray[np.float32], floor: float, seat: float, materials: Materials, generator: Generator
-) -> Mesh:
+) -> list[Mesh]:
     """Cloth over the legs of a person who sits and faces +z."""
     legs = body[(body[:, 1] < seat + 0.22) & (body[:, 2] > 0.05)]
+    if not len(legs):
+        return []  # Both are drawn back under the seat.
     hem = floor + generator.uniform(0.05, 0.35)
-    return blanket(legs, hem, 0.98, materials, generator)
+    return [blanket(legs, hem, 0.98, materials, generator)]
 
 
 def cycle(floor: float, saddle: float, materials: Materials, generator: Generator) -> Mesh:

@@ -119,10 +119,13 @@ class Studio:
     ----------
     people : list of Person
     source : PoseSource
+    head_first : float
+        Share of the people who lie whose head points to the camera, beside those by chance.
     """
 
     people: list[Person]
     source: PoseSource
+    head_first: float = 0.0
 
     @classmethod
     def open(cls, motion: Path, garments: Path, count: int, seed: int, *, held_out: bool) -> Studio:
@@ -165,7 +168,11 @@ class Studio:
                 away = generator.uniform(0.45, 2.5) * level_direction(generator)
                 low = float(other.mesh.vertices[:, 1].min())
                 things.append(other.mesh.placed(turn, away + np.array([0, floor - low, 0])))
-        return _photograph(body.mesh, body, things, floor, materials, generator)
+        azimuth = None
+        if FRAME_POSTURES[body.posture] == "lying" and generator.random() < self.head_first:
+            hips, head = (body.landmarks[rows].mean(axis=0) for rows in (_HIPS, _HEAD))
+            azimuth = np.arctan2(*(head - hips)[[0, 2]]) + generator.normal(0, 0.4)
+        return _photograph(body.mesh, body, things, floor, materials, generator, azimuth)
 
     def _still_life(self, materials: Materials, generator: Generator) -> Photograph | None:
         makers = furniture.SUBJECTS
@@ -237,13 +244,14 @@ def _photograph(
     floor: float,
     materials: Materials,
     generator: Generator,
+    azimuth: float | None = None,
 ) -> Photograph | None:
     """Furnish the scene, take the picture and say what it shows; None where little is seen."""
     low, high = subject.vertices.min(axis=0), subject.vertices.max(axis=0)
     middle = np.asarray((low + high) / 2, np.float64)
     end = _end_of(body, generator) if body is not None and generator.random() < CLOSE_UPS else None
     target = middle if end is None else end
-    camera = sample_camera(target, floor, generator, close=end is not None)
+    camera = sample_camera(target, floor, generator, close=end is not None, azimuth=azimuth)
     seen = camera.seen(subject.vertices)
     if seen[:, 2].min() < NEAREST_M:
         return None

@@ -117,7 +117,7 @@ def _seat(
         near_z = generator.uniform(0.15, 0.5)
         things.append(furniture.desk(floor, top, near_z, materials, generator))
     elif chance < TABLES + 0.08:
-        things.append(furniture.lap_blanket(vertices, floor, body.seat, materials, generator))
+        things += furniture.lap_blanket(vertices, floor, body.seat, materials, generator)
     return floor, things
 
 

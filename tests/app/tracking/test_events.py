@@ -9,12 +9,14 @@ import pytest
 from app.estimation.posture import vote_posture
 from app.tracking.events import (
     STAYS_DOWN_S,
+    STAYS_LOW_S,
     DropDetector,
     EventDetector,
     HipHeight,
     Reliability,
 )
 from app.tracking.results import Event
+from app.vision.geometry import Box
 from index.posture import PostureName
 
 FPS = 10
@@ -219,3 +221,72 @@ def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
         events += detector.update(7, frame / FPS, lying, Reliability(1.0, 1.0), rests=frame < 50)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
+
+
+FRAME = (480, 640)
+STANDS, SAT, DOWN = Box(300, 200, 60, 200), Box(300, 290, 70, 110), Box(280, 340, 120, 70)
+
+
+def follow(
+    boxes: Iterable[tuple[Box, float]], *, unclear: bool = True, rests: bool = False
+) -> tuple[list[Event], list[Event]]:
+    """Events while a person's box moves, and as they are lost; hips are not seen."""
+    detector, events, frame = EventDetector(), [], 0
+    shares = vote_posture(["bending", "sitting", "lying"], [0.4, 0.3, 0.3])
+    for box, seconds in boxes:
+        for _ in range(round(seconds * FPS)):
+            events += detector.update(
+                7, frame / FPS, shares, Reliability(1, 1), None, box, unclear=unclear, rests=rests
+            )
+            frame += 1
+    return events, [*detector.lost(7, frame / FPS, FRAME)]
+
+
+def test_a_fall_with_an_unclear_posture_is_seen_by_the_box_once() -> None:
+    events, lost = follow([(STANDS, 2), (DOWN, 6)])
+    assert names(events) == [("fell", "instant")]
+    assert events[0].timestamp == pytest.approx(2 + STAYS_LOW_S, abs=0.3)
+    assert not lost
+
+
+@pytest.mark.parametrize(
+    "boxes",
+    [
+        [(STANDS, 8)],
+        [(STANDS, 2), (DOWN, 1.5), (STANDS, 5)],  # Up again.
+        [(STANDS, 2), (Box(300, 200, 60, 80), 6)],  # Behind a table.
+        [
+            (STANDS, 2),
+            *((Box(300, 200 + 14 * n, 80, 200 - 13 * n), 1) for n in range(10)),
+        ],  # Slowly.
+    ],
+)
+def test_other_boxes_are_no_fall(boxes: list[tuple[Box, float]]) -> None:
+    assert follow(boxes)[0] == []
+
+
+def test_a_clear_posture_says_more_than_the_box() -> None:
+    assert follow([(STANDS, 2), (DOWN, 6)], unclear=False)[0] == []
+    assert follow([(STANDS, 2), (DOWN, 6)], rests=True) == ([], [])
+
+
+LEAVES = [(Box(300, 100 + 30 * n, 120, 380 - 30 * n), 0.1) for n in range(8)]
+
+
+@pytest.mark.parametrize(
+    ("boxes", "falls"),
+    [
+        ([(STANDS, 2), (SAT, 0.2), (DOWN, 0.2)], True),
+        ([(STANDS, 2)], False),
+        ([(STANDS, 2), (DOWN, 0.3), (STANDS, 2)], False),
+        # Past the left border, and out of the frame below the camera.
+        ([(Box(0, 200, 60, 200), 2), (Box(0, 340, 70, 70), 0.3)], False),
+        ([(Box(300, 100, 120, 380), 2), *LEAVES], False),
+    ],
+)
+def test_a_person_who_is_lost_while_sinking_fell(
+    boxes: list[tuple[Box, float]], falls: bool
+) -> None:
+    events, lost = follow(boxes)
+    assert not events
+    assert names(lost) == ([("fell", "instant")] if falls else [])

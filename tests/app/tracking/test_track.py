@@ -9,12 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.tracking.appearance import Patch, appearance_distance, appearance_histogram
 from app.tracking.track import (
     BoxFilter,
     Sighting,
     Track,
-    appearance_distance,
-    appearance_histogram,
     associate,
 )
 from app.tracking.zones import Zone
@@ -231,3 +230,17 @@ def test_clothes_of_two_people_differ() -> None:
     assert red.shape == (80,) and red.sum() == pytest.approx(1)
     assert appearance_distance(red, red) == pytest.approx(0, abs=1e-3)
     assert appearance_distance(red, blue) > 0.6
+
+
+def test_a_patch_is_shown_until_its_person_moves() -> None:
+    rng = np.random.default_rng(3)
+    floor = np.full((200, 300, 3), 120, np.uint8)
+    lies = floor.copy()
+    lies[120:160, 100:200] = (60, 40, 160)
+    patch = Patch.of(lies, Box(95, 115, 110, 50))
+    noisy = np.clip(lies + rng.normal(0, 6, lies.shape), 0, 255).astype(np.uint8)
+    darker = (lies * 0.9).astype(np.uint8)
+    elsewhere = floor.copy()
+    elsewhere[120:160, 150:250] = (60, 40, 160)
+    assert patch.is_shown_by(lies) and patch.is_shown_by(noisy) and patch.is_shown_by(darker)
+    assert not patch.is_shown_by(floor) and not patch.is_shown_by(elsewhere)

@@ -64,7 +64,8 @@ def test_a_blanket_over_the_lap_covers_the_legs_but_not_the_trunk(seed: int) -> 
     thighs = ellipsoid([0, 0.5, 0.25], [0.2, 0.08, 0.25], 0)
     trunk = ellipsoid([0, 0.9, 0], [0.2, 0.35, 0.12], 0)
     body = joined([thighs, trunk]).vertices
-    cloth = furniture.lap_blanket(body, 0.0, 0.48, materials, generator).vertices
+    [blanket] = furniture.lap_blanket(body, 0.0, 0.48, materials, generator)
+    cloth = blanket.vertices
     over_the_knees = cloth[(np.abs(cloth[:, 0]) < 0.05) & (np.abs(cloth[:, 2] - 0.3) < 0.05)]
     assert over_the_knees[:, 1].min() > 0.5
     assert cloth[:, 1].max() < 0.9 and cloth[:, 2].min() > 0

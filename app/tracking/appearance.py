@@ -1,0 +1,85 @@
+"""What a picture shows of a person: colours that tell people apart, and their place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.geometry import Box, crop, shrink_quickly
+from app.vision.people import Silhouette
+
+_HUES, _SATURATIONS, _GREYS = 8, 4, 8
+
+
+def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
+    """Colours of the upper and lower half of a person.
+
+    Parameters
+    ----------
+    frame : (H, W, 3) uint8 array
+        BGR.
+    silhouette : Silhouette
+        Of the person, in the frame.
+
+    Returns
+    -------
+    (2 * 40,) float32 array
+        Histograms of hue by saturation, and of brightness, for each half; they sum to 1.
+    """
+    rows, columns = silhouette.crop.shape
+    left, top = silhouette.left, silhouette.top
+    crop = cv2.cvtColor(frame[top : top + rows, left : left + columns], cv2.COLOR_BGR2HSV)
+    mask = silhouette.crop.view(np.uint8)
+    parts = []
+    for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
+        pixels, inside = crop[half], mask[half]
+        colour = cv2.calcHist([pixels], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
+        grey = cv2.calcHist([pixels], [2], inside, [_GREYS], [0, 256])
+        parts += [colour.ravel(), grey.ravel()]
+    histogram = np.concatenate(parts)
+    return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
+
+
+def appearance_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+    """Hellinger distance of two histograms, 0 to 1."""
+    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
+
+
+# Cells of a patch each way; the change of light, in grey levels, up to which it may show the same,
+# and the mean difference beside it. Noise of single pixels averages out; a person who moves or goes
+# changes a patch by far more.
+_PATCH_CELLS, _MAX_LIGHT, _MAX_DIFFERENCE = 16, 15.0, 6.0
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A small grey picture of a part of a frame.
+
+    Parameters
+    ----------
+    box : Box
+        The part, in pixels of the frame.
+    grey : (16, 16) float32 array
+    """
+
+    box: Box
+    grey: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, frame: NDArray[np.uint8], box: Box) -> Self:
+        """The patch in a box of a frame ``(H, W, 3)``, BGR."""
+        left, top, right, bottom = box.pixels()
+        rect = left, top, max(1, right - left), max(1, bottom - top)
+        cells = shrink_quickly(crop(frame, rect), _PATCH_CELLS, _PATCH_CELLS)
+        return cls(box, cv2.cvtColor(cells, cv2.COLOR_BGR2GRAY).astype(np.float32))
+
+    def is_shown_by(self, frame: NDArray[np.uint8]) -> bool:
+        """Whether another frame shows the same there, perhaps in other light."""
+        change = Patch.of(frame, self.box).grey - self.grey
+        light = np.clip(np.median(change), -_MAX_LIGHT, _MAX_LIGHT)
+        return bool(np.abs(change - light).mean() < _MAX_DIFFERENCE)

@@ -1,0 +1,186 @@
+"""Render people as photographs that the service reads in three views: see ``docs/training.md``.
+
+A photograph is read as it is; with the body cut off or covered; and in bad light, half of them
+covered as well. Writes ``postures-NNNN.npz``, 500 photographs each: what shows the posture (see
+:class:`app.vision.judgement.Evidence`), and the truth. The same bytes come out for the same seed;
+files that are there are not made again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Self
+
+import cv2
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from app.vision.blazepose import LandmarkNetwork, MaskNetwork
+from app.vision.geometry import Box
+from app.vision.judgement import PhotographModels, load_photograph_models
+from app.vision.models import network_path
+from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
+from app.vision.person_reader import PersonReader
+from scripts.results import ROOT
+from scripts.training.render.scene import EMPTY, Photograph, Studio
+from scripts.training.render.views import hide, spoil
+from scripts.training.render_people import HELD_OUT_PEOPLE, PEOPLE, PER_FILE, photograph_of
+
+VIEWS = ("plain", "hidden", "spoilt")
+
+HEAD_FIRST = 0.35
+"""Share of the people who lie whose head points to the camera: few landmarks are read right then.
+"""
+
+_WITHOUT_KEYPOINTS = 0.2
+"""Share of the views without MoveNet's keypoints: it does not read every track."""
+
+
+@dataclass(frozen=True)
+class PostureRows:
+    """What shows the postures of rendered people, and what they are.
+
+    Parameters
+    ----------
+    photograph : (N,) int64 array
+    view : (N,) int64 array
+        Positions in :data:`VIEWS`.
+    body : (N, F) float16 array
+    surroundings : (N, M) float16 array
+    right : (N,) float64 array
+        Probability that the landmarks are right.
+    presence : (N,) float64 array
+    posture : (N,) int64 array
+        Positions in :data:`app.vision.judgement.FRAME_POSTURES`, or -1 where nobody is.
+    """
+
+    photograph: NDArray[np.int64]
+    view: NDArray[np.int64]
+    body: NDArray[np.float16]
+    surroundings: NDArray[np.float16]
+    right: NDArray[np.float64]
+    presence: NDArray[np.float64]
+    posture: NDArray[np.int64]
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate rows."""
+        names = [one.name for one in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    def take(self, rows: NDArray[np.bool_]) -> Self:
+        """Some of the rows."""
+        return type(self)(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """All rows that ``render-postures`` wrote into a folder.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there are none.
+        """
+        files = sorted(folder.glob("postures-*.npz"))
+        if not files:
+            raise FileNotFoundError(f"expected postures-*.npz in {folder}, found none")
+        parts = []
+        for file in files:
+            with np.load(file) as stored:
+                parts.append(cls(**stored))
+        return cls.joined(parts)
+
+
+def views_of(photograph: Photograph, generator: Generator) -> Iterator[Photograph]:
+    """The photograph in each of :data:`VIEWS`; nobody is hidden in one that shows nobody."""
+    hidden = photograph if photograph.posture == EMPTY else hide(photograph, generator)
+    yield photograph
+    yield hidden
+    either = hidden if generator.random() < 0.5 else photograph
+    yield replace(either, image=spoil(either.image, generator))
+
+
+def camera_of(photograph: Photograph, generator: Generator) -> PinholeCamera:
+    """The camera as the service knows it: half of them are assumed."""
+    if generator.random() < 0.5:
+        return PinholeCamera(photograph.focal, photograph.centre, given=True)
+    focal = photograph.frame_px.max() / 2 / np.tan(np.deg2rad(ASSUMED_FOV_DEG) / 2)
+    return PinholeCamera(np.array([focal, focal]), photograph.centre)
+
+
+@dataclass(frozen=True)
+class Reader:
+    """The service's reading of one person, and its models of photographs."""
+
+    people: PersonReader
+    models: PhotographModels
+
+    @classmethod
+    def load(cls) -> Self:
+        """With the networks that ship."""
+        people = PersonReader(
+            LandmarkNetwork(network_path("pose_landmarks")),
+            MaskNetwork(network_path("pose_mask")),
+            KeypointReader(MoveNet(network_path("movenet"))),
+        )
+        return cls(people, load_photograph_models())
+
+    def rows(self, number: int, photograph: Photograph, generator: Generator) -> PostureRows:
+        """What is read in the views of a photograph."""
+        rows = []
+        for view, shown in enumerate(views_of(photograph, generator)):
+            scatter = generator.normal(0, 0.04, 4) * shown.box[[2, 3, 2, 3]]
+            left, top, width, height = shown.box + scatter
+            box = Box(float(left), float(top), max(4.0, float(width)), max(4.0, float(height)))
+            reading = self.people.read(shown.image, box)
+            if generator.random() < _WITHOUT_KEYPOINTS:
+                reading = replace(reading, keypoints=None)
+            camera = camera_of(shown, generator)
+            _, trust, seen = self.models.evidence(reading, camera, shown.image.shape)
+            one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)
+            rows.append([np.array([value]) for value in (*one, shown.posture)])
+        columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
+        return PostureRows(
+            *columns[:2], *(part.astype(np.float16) for part in columns[2:4]), *columns[4:]
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--count", type=int, default=16_000, help="photographs")
+    parser.add_argument("--seed", type=int, default=11)
+    parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    options = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    studio = Studio.open(
+        options.shared / "mocap",
+        options.shared / "garments",
+        HELD_OUT_PEOPLE if options.held_out else PEOPLE,
+        options.seed,
+        held_out=options.held_out,
+    )
+    studio.head_first = HEAD_FIRST
+    reader = Reader.load()
+    options.out.mkdir(parents=True, exist_ok=True)
+    for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
+        file = options.out / f"postures-{first // PER_FILE:04d}.npz"
+        if file.exists():
+            continue
+        rows = []
+        for number in range(first, min(first + PER_FILE, options.count)):
+            photograph, generator = photograph_of(studio, options.seed, number)
+            rows.append(reader.rows(number, photograph, generator))
+        partial = file.with_suffix(".part.npz")
+        np.savez_compressed(partial, **vars(PostureRows.joined(rows)))
+        partial.rename(file)

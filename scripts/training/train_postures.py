@@ -1,0 +1,123 @@
+"""Train the model of posture on rendered people: see ``docs/training.md``.
+
+Adds to ``app/vision/models/photograph_models.npz``; the same bytes for the same rows. Everything is
+chosen and calibrated on one half of the held-out renders and reported on the other. No real
+photograph takes part.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.depth import DenseNetwork
+from app.vision.judgement import FRAME_POSTURES, PostureModel, sharpened
+from index.build.calibrate import expected_calibration_error
+from scripts.training.fit_dense import averaged, fit_dense
+from scripts.training.photograph_data import SEEN_FROM
+from scripts.training.render_postures import VIEWS, PostureRows
+from scripts.training.train_photograph_models import FILE, store
+
+ENSEMBLE = 3
+"""Number of networks whose mean is each of the two posture networks."""
+
+NOBODY_FROM = 0.1
+"""The network's presence from which it takes a picture without people for a person."""
+
+
+def train_posture(
+    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int,
+    **options: Any,
+) -> DenseNetwork:  # fmt: skip
+    """The mean of a few networks with one hidden layer: their scores differ by chance."""
+    import torch
+
+    def loss(outputs: Any, targets: Any) -> Any:
+        return torch.nn.functional.cross_entropy(outputs, targets[:, 0].long())
+
+    return averaged([
+        fit_dense(
+            features, classes[:, None].astype(np.float32), len(FRAME_POSTURES), loss,
+            epochs=epochs, seed=seed + number, batch=64, **options,
+        )
+        for number in range(ENSEMBLE)
+    ])  # fmt: skip
+
+
+def fit_sharpness(
+    scores: NDArray[np.floating], right: NDArray[np.float64], classes: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Sharpness ``(2,)`` that makes the truth likeliest; the truth of nobody (-1) is uniform."""
+    count = scores.shape[1]
+    truth = np.where(classes[:, None] < 0, 1 / count, np.eye(count)[classes])
+
+    def loss(sharpness: NDArray[np.float64]) -> float:
+        likely = np.log(sharpened(scores, right, sharpness) + 1e-9)
+        return float(-(truth * likely).sum(axis=1).mean())
+
+    grid = [np.array([a, b]) for a in np.linspace(-0.8, 1.2, 41) for b in np.linspace(0, 0.6, 25)]
+    return min(grid, key=loss)
+
+
+def posture_report(given: NDArray[np.float64], classes: NDArray[np.int64]) -> str:
+    """How often postures are right, calibration, and confusions."""
+    best, sure = given.argmax(axis=1), given.max(axis=1)
+    right, lines = best == classes, []
+    for number, name in enumerate(FRAME_POSTURES):
+        rows = classes == number
+        shares = np.bincount(best[rows], minlength=len(FRAME_POSTURES)) / max(rows.sum(), 1)
+        lines.append(f"    {name:10s} {rows.sum():5d}  " + "  ".join(f"{s:.2f}" for s in shares))
+    error = expected_calibration_error(sure, right)
+    return "\n".join([f"posture right {right.mean():.3f}, ECE {error:.3f}", *lines])
+
+
+def train_models(train: PostureRows, held: PostureRows, epochs: int, seed: int) -> dict[str, Any]:
+    """Arrays of the model; figures on the second half of the held-out photographs are printed."""
+    teaches = (train.posture >= 0) & (train.presence > SEEN_FROM)
+    body, surroundings = (
+        part[teaches].astype(np.float32) for part in (train.body, train.surroundings)
+    )
+    classes = train.posture[teaches]
+    by_body = train_posture(body, classes, epochs, seed + 10, hidden=(96,), dropout=0.3, noise=0.3)
+    by_surroundings = train_posture(
+        np.hstack([body, surroundings]), classes, epochs, seed + 20,
+        hidden=(192,), dropout=0.4, noise=0.4, decay=0.1,
+    )  # fmt: skip
+    posture = PostureModel(by_body, by_surroundings, np.zeros(2))
+    scores = posture.scores(held.body.astype(np.float32), held.surroundings.astype(np.float32))
+    calibrates = held.photograph % 2 == 0
+    # Pictures without people that the network takes for people limit the certainty.
+    asked = (held.presence > NOBODY_FROM) & calibrates
+    sharpness = fit_sharpness(scores[asked], held.right[asked], held.posture[asked])
+    print(f"from {teaches.sum()} views; sharpness {sharpness.round(3)}")
+    given = sharpened(scores, held.right, sharpness)
+    for number, name in enumerate(VIEWS):
+        rows = (held.posture >= 0) & (held.presence > SEEN_FROM) & ~calibrates
+        rows &= held.view == number
+        print(f"{name}: {posture_report(given[rows], held.posture[rows])}")
+    arrays: dict[str, Any] = {"posture.trust": sharpness}
+    networks = {"posture.by_body": by_body, "posture.by_surroundings": by_surroundings}
+    for name, network in networks.items():
+        arrays |= network.arrays(name)
+    return arrays
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    add = parser.add_argument
+    add("--train", type=Path, required=True, help="folder of render-postures")
+    add("--held-out", type=Path, required=True, help="another, held out")
+    add("--out", type=Path, default=FILE)
+    add("--epochs", type=int, default=14)
+    add("--seed", type=int, default=0)
+    add("--share", type=float, default=1.0, help="of the photographs, for a learning curve")
+    options = parser.parse_args(arguments)
+    train, held = PostureRows.read(options.train), PostureRows.read(options.held_out)
+    train = train.take(train.photograph % 1000 < 1000 * options.share)
+    store(train_models(train, held, options.epochs, options.seed), options.out)
