@@ -30,7 +30,48 @@ MIN_SHOWN = 6
 
 
 @dataclass(frozen=True)
-class WindowRows:
+class Rows:
+    """Arrays with one row for each of the same things."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate rows."""
+        names = [one.name for one in fields(cls)]
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+    @classmethod
+    def read(cls, folders: Sequence[Path]) -> Self:
+        """All rows that were written into folders.
+
+        Raises
+        ------
+        FileNotFoundError
+            If a folder holds none.
+        """
+        parts = []
+        for folder in folders:
+            files = sorted(folder.glob("*.npz"))
+            if not files:
+                raise FileNotFoundError(f"expected .npz files in {folder}, found none")
+            for file in files:
+                with np.load(file) as stored:
+                    parts.append(cls(*(stored[part.name] for part in fields(cls))))
+        return cls.joined(parts)
+
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
+        """Some of the rows."""
+        return type(self)(*(getattr(self, part.name)[rows] for part in fields(self)))
+
+    def save(self, file: Path) -> None:
+        """Write them as an ``.npz``, whole or not at all."""
+        partial = file.with_suffix(".part")
+        with partial.open("wb") as written:
+            np.savez(written, **{part.name: getattr(self, part.name) for part in fields(self)})
+        partial.rename(file)
+
+
+@dataclass(frozen=True)
+class WindowRows(Rows):
     """Windows that the landmark network read, with the truth about them.
 
     Parameters
@@ -71,39 +112,6 @@ class WindowRows:
 
     def __len__(self) -> int:
         return len(self.scene)
-
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate rows."""
-        names = [one.name for one in fields(cls)]
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Self:
-        """Some of the rows."""
-        return type(self)(*(getattr(self, part.name)[rows] for part in fields(self)))
-
-    def save(self, file: Path) -> None:
-        """Write them as an ``.npz``."""
-        np.savez(file, **{part.name: getattr(self, part.name) for part in fields(self)})
-
-
-def read_rows(folders: Sequence[Path]) -> WindowRows:
-    """Read all rows that ``render-people`` wrote into folders.
-
-    Raises
-    ------
-    FileNotFoundError
-        If a folder holds none.
-    """
-    parts = []
-    for folder in folders:
-        files = sorted(folder.glob("windows-*.npz"))
-        if not files:
-            raise FileNotFoundError(f"expected windows-*.npz in {folder}, found none")
-        for file in files:
-            with np.load(file) as stored:
-                parts.append(WindowRows(*(stored[part.name] for part in fields(WindowRows))))
-    return WindowRows.joined(parts)
 
 
 @dataclass(frozen=True)

@@ -146,6 +146,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 reading = network.read(photograph.image, window)
                 rows.append(row_of(number, photograph, reading))
                 window = reading.next_window
-        partial = file.with_suffix(".part.npz")
-        WindowRows.joined(rows).save(partial)
-        partial.rename(file)
+        WindowRows.joined(rows).save(file)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -28,6 +28,7 @@ from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
 from app.vision.person_reader import PersonReader
 from scripts.results import ROOT
+from scripts.training.photograph_data import Rows
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 from scripts.training.render.views import hide, spoil
 from scripts.training.render_people import HELD_OUT_PEOPLE, PEOPLE, PER_FILE, photograph_of
@@ -43,7 +44,7 @@ _WITHOUT_KEYPOINTS = 0.2
 
 
 @dataclass(frozen=True)
-class PostureRows:
+class PostureRows(Rows):
     """What shows the postures of rendered people, and what they are.
 
     Parameters
@@ -67,34 +68,6 @@ class PostureRows:
     right: NDArray[np.float64]
     presence: NDArray[np.float64]
     posture: NDArray[np.int64]
-
-    @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
-        """Concatenate rows."""
-        names = [one.name for one in fields(cls)]
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
-    def take(self, rows: NDArray[np.bool_]) -> Self:
-        """Some of the rows."""
-        return type(self)(*(getattr(self, part.name)[rows] for part in fields(self)))
-
-    @classmethod
-    def read(cls, folder: Path) -> Self:
-        """All rows that ``render-postures`` wrote into a folder.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there are none.
-        """
-        files = sorted(folder.glob("postures-*.npz"))
-        if not files:
-            raise FileNotFoundError(f"expected postures-*.npz in {folder}, found none")
-        parts = []
-        for file in files:
-            with np.load(file) as stored:
-                parts.append(cls(**stored))
-        return cls.joined(parts)
 
 
 def views_of(photograph: Photograph, generator: Generator) -> Iterator[Photograph]:
@@ -181,6 +154,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for number in range(first, min(first + PER_FILE, options.count)):
             photograph, generator = photograph_of(studio, options.seed, number)
             rows.append(reader.rows(number, photograph, generator))
-        partial = file.with_suffix(".part.npz")
-        np.savez_compressed(partial, **vars(PostureRows.joined(rows)))
-        partial.rename(file)
+        PostureRows.joined(rows).save(file)

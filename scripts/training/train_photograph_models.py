@@ -34,7 +34,7 @@ from app.vision.judgement import TrustModel, trust_features
 from app.vision.models import FOLDER, MODELS
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import fit_dense, with_outputs
-from scripts.training.photograph_data import LIMBS, TrainingRows, read_rows
+from scripts.training.photograph_data import LIMBS, TrainingRows, WindowRows
 
 FILE = FOLDER / "photograph_models.npz"
 
@@ -187,8 +187,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--epochs", type=int, default=20)
     add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
-    train = TrainingRows.of(read_rows(options.train), options.seed)
-    held = TrainingRows.of(read_rows([options.held_out]), options.seed + 1)
+    train = TrainingRows.of(WindowRows.read(options.train), options.seed)
+    held = TrainingRows.of(WindowRows.read([options.held_out]), options.seed + 1)
     store(train_models(train, held, options.epochs, options.seed), options.out)
 
 

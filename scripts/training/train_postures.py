@@ -118,6 +118,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--seed", type=int, default=0)
     add("--share", type=float, default=1.0, help="of the photographs, for a learning curve")
     options = parser.parse_args(arguments)
-    train, held = PostureRows.read(options.train), PostureRows.read(options.held_out)
+    train, held = PostureRows.read([options.train]), PostureRows.read([options.held_out])
     train = train.take(train.photograph % 1000 < 1000 * options.share)
     store(train_models(train, held, options.epochs, options.seed), options.out)
