@@ -1,6 +1,6 @@
 """Render people as photographs and let the landmark network read them: see ``docs/training.md``.
 
-Writes ``windows-NNNN.npz``, 500 photographs each, with the truth about them (see
+Writes ``rows-NNNN.npz``, 500 photographs each, with the truth about them (see
 :mod:`scripts.training.photograph_data`); the pictures themselves are not kept. One photograph in
 seven shows nobody. The same bytes come out for the same seed; files that are there are not made
 again. ``--sheet FILE`` draws a contact sheet to look at instead.
@@ -9,7 +9,8 @@ again. ``--sheet FILE`` draws a contact sheet to look at instead.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -22,7 +23,7 @@ from app.vision.geometry import PersonWindow
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.models import network_path
 from scripts.results import ROOT
-from scripts.training.photograph_data import WindowRows
+from scripts.training.photograph_data import Rows, WindowRows
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 
 PER_FILE = 500
@@ -107,43 +108,71 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line."""
+def read_windows(
+    network: LandmarkNetwork, number: int, photograph: Photograph, generator: np.random.Generator
+) -> WindowRows:
+    """What the network reads in a first window, and in the one that it points to."""
+    rows, window = [], first_window(photograph, generator)
+    for _ in range(2):
+        reading = network.read(photograph.image, window)
+        rows.append(row_of(number, photograph, reading))
+        window = reading.next_window
+    return WindowRows.joined(rows)
+
+
+def rendering_parser(description: str | None, count: int, seed: int) -> argparse.ArgumentParser:
+    """The options of commands that render photographs."""
     parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", type=Path, help="folder to write to")
-    parser.add_argument("--count", type=int, default=10_000, help="photographs")
-    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=count, help="photographs")
+    parser.add_argument("--seed", type=int, default=seed)
     parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
-    parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
-    options = parser.parse_args(arguments)
-    if options.out is None and options.sheet is None:
-        parser.error("expected --out or --sheet")
+    return parser
+
+
+def open_studio(options: argparse.Namespace) -> Studio:
+    """The studio of these options; pictures are made on one core."""
     cv2.setNumThreads(1)
-    studio = Studio.open(
+    return Studio.open(
         options.shared / "mocap",
         options.shared / "garments",
         HELD_OUT_PEOPLE if options.held_out else PEOPLE,
         options.seed,
         held_out=options.held_out,
     )
+
+
+def write_rows(
+    options: argparse.Namespace,
+    studio: Studio,
+    rows_of: Callable[[int, Photograph, np.random.Generator], Rows],
+) -> None:
+    """Write what is read in photographs, 500 to a file; files that are there are kept."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
+        file = options.out / f"rows-{first // PER_FILE:04d}.npz"
+        if file.exists():
+            continue
+        rows = [
+            rows_of(number, *photograph_of(studio, options.seed, number))
+            for number in range(first, min(first + PER_FILE, options.count))
+        ]
+        type(rows[0]).joined(rows).save(file)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Command line."""
+    parser = rendering_parser(__doc__, count=10_000, seed=1)
+    parser.add_argument("--sheet", type=Path, help="draw pictures to look at into this file")
+    options = parser.parse_args(arguments)
+    if options.out is None and options.sheet is None:
+        parser.error("expected --out or --sheet")
+    studio = open_studio(options)
     if options.sheet is not None:
         cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
         return
     network = LandmarkNetwork(network_path("pose_landmarks"))
-    options.out.mkdir(parents=True, exist_ok=True)
-    for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
-        file = options.out / f"windows-{first // PER_FILE:04d}.npz"
-        if file.exists():
-            continue
-        rows = []
-        for number in range(first, min(first + PER_FILE, options.count)):
-            photograph, generator = photograph_of(studio, options.seed, number)
-            window = first_window(photograph, generator)
-            for _ in range(2):
-                reading = network.read(photograph.image, window)
-                rows.append(row_of(number, photograph, reading))
-                window = reading.next_window
-        WindowRows.joined(rows).save(file)
+    write_rows(options, studio, partial(read_windows, network))

@@ -1,24 +1,20 @@
 """Render people as photographs that the service reads in three views: see ``docs/training.md``.
 
 A photograph is read as it is; with the body cut off or covered; and in bad light, half of them
-covered as well. Writes ``postures-NNNN.npz``, 500 photographs each: what shows the posture (see
+covered as well. Writes ``rows-NNNN.npz``, 500 photographs each: what shows the posture (see
 :class:`app.vision.judgement.Evidence`), and the truth. The same bytes come out for the same seed;
 files that are there are not made again.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Self
 
-import cv2
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.geometry import Box
@@ -27,11 +23,10 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
 from app.vision.person_reader import PersonReader
-from scripts.results import ROOT
 from scripts.training.photograph_data import Rows
-from scripts.training.render.scene import EMPTY, Photograph, Studio
+from scripts.training.render.scene import EMPTY, Photograph
 from scripts.training.render.views import hide, spoil
-from scripts.training.render_people import HELD_OUT_PEOPLE, PEOPLE, PER_FILE, photograph_of
+from scripts.training.render_people import open_studio, rendering_parser, write_rows
 
 VIEWS = ("plain", "hidden", "spoilt")
 
@@ -126,32 +121,10 @@ class Reader:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--shared", type=Path, default=ROOT.parent / "shared")
-    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
-    parser.add_argument("--count", type=int, default=16_000, help="photographs")
-    parser.add_argument("--seed", type=int, default=11)
-    parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    parser = rendering_parser(__doc__, count=16_000, seed=11)
     options = parser.parse_args(arguments)
-    cv2.setNumThreads(1)
-    studio = Studio.open(
-        options.shared / "mocap",
-        options.shared / "garments",
-        HELD_OUT_PEOPLE if options.held_out else PEOPLE,
-        options.seed,
-        held_out=options.held_out,
-    )
+    if options.out is None:
+        parser.error("expected --out")
+    studio = open_studio(options)
     studio.head_first = HEAD_FIRST
-    reader = Reader.load()
-    options.out.mkdir(parents=True, exist_ok=True)
-    for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
-        file = options.out / f"postures-{first // PER_FILE:04d}.npz"
-        if file.exists():
-            continue
-        rows = []
-        for number in range(first, min(first + PER_FILE, options.count)):
-            photograph, generator = photograph_of(studio, options.seed, number)
-            rows.append(reader.rows(number, photograph, generator))
-        PostureRows.joined(rows).save(file)
+    write_rows(options, studio, Reader.load().rows)
