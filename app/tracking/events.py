@@ -172,7 +172,7 @@ class SinkDetector:
         """Whether a person who is not seen any more sank in the middle of the frame.
 
         People walk out of the frame at its left and right, and at its lower border, where their
-        feet leave it first.
+        feet leave it first; there, only those who lie across it have sunk.
         """
         if not self._recent:
             return False
@@ -185,6 +185,7 @@ class SinkDetector:
         near = _BORDER_SHARE * np.array(frame_shape[:2])
         left, _, right, lower = gaps_to_border(last, frame_shape)
         leaves = max(lower, gaps_to_border(before, frame_shape)[3]) <= near[0]
+        leaves &= last.width < _ACROSS_SHARE * before.height
         return not leaves and min(left, right) > near[1]
 
     def _sinks_from(self, share: float) -> Box | None:
@@ -199,8 +200,10 @@ class SinkDetector:
         return min(higher, key=lambda box: box.y, default=None)
 
 
-# Share of the frame's sides from whose ends on people may be leaving it.
-_BORDER_SHARE = 0.02
+# Share of the frame's sides from whose ends on people may be leaving it, and width from which a
+# body lies across, relative to its height before: shoulders are half as wide as what is seen of a
+# person whom the border cuts off at the knees.
+_BORDER_SHARE, _ACROSS_SHARE = 0.02, 0.8
 
 # Most time that a single frame counts for: just too short to begin an event.
 _MAX_STEP_S = 0.34
