@@ -172,7 +172,7 @@ class SinkDetector:
         """Whether a person who is not seen any more sank in the middle of the frame.
 
         People walk out of the frame at its left and right, and at its lower border, where their
-        feet leave it first; there, only those who lie across it have sunk.
+        feet leave it first; there, only those who tip over have sunk.
         """
         if not self._recent:
             return False
@@ -185,7 +185,7 @@ class SinkDetector:
         near = _BORDER_SHARE * np.array(frame_shape[:2])
         left, _, right, lower = gaps_to_border(last, frame_shape)
         leaves = max(lower, gaps_to_border(before, frame_shape)[3]) <= near[0]
-        leaves &= last.width < _ACROSS_SHARE * before.height
+        leaves &= max(box.width for _, box in self._recent) < _TIPS_BY * before.width
         return not leaves and min(left, right) > near[1]
 
     def _sinks_from(self, share: float) -> Box | None:
@@ -200,10 +200,9 @@ class SinkDetector:
         return min(higher, key=lambda box: box.y, default=None)
 
 
-# Share of the frame's sides from whose ends on people may be leaving it, and width from which a
-# body lies across, relative to its height before: shoulders are half as wide as what is seen of a
-# person whom the border cuts off at the knees.
-_BORDER_SHARE, _ACROSS_SHARE = 0.02, 0.8
+# Share of the frame's sides from whose ends on people may be leaving it, and the growth of the
+# width from which a body tips over: people who walk out below the camera hardly get wider.
+_BORDER_SHARE, _TIPS_BY = 0.02, 1.6
 
 # Most time that a single frame counts for: just too short to begin an event.
 _MAX_STEP_S = 0.34

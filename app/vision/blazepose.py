@@ -189,6 +189,7 @@ class LandmarkNetwork:
 
     def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR; without the mask."""
+        window = window.on_grid()
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
         outputs = self._network.run(image * np.float32(1 / 255))
         values, presence, world, middle, last, *mask_inputs = outputs

@@ -221,6 +221,14 @@ class PersonWindow:
         x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
         return PersonWindow(x, y, self.side * factor, self.roll_deg)
 
+    def on_grid(self) -> PersonWindow:
+        """The nearest window on a grid of 1/64 of a pixel and of a degree.
+
+        What differs in the last digits, from one processor to another, then looks the same.
+        """
+        x, y, roll_deg = (round(64 * value) / 64 for value in (self.x, self.y, self.roll_deg))
+        return PersonWindow(x, y, max(1, round(64 * self.side)) / 64, roll_deg)
+
     def drift(self, other: PersonWindow) -> float:
         """Mean distance to the corners of another window, as a share of this one's side."""
         apart = self.corners() - other.corners()

@@ -270,7 +270,7 @@ def test_a_clear_posture_says_more_than_the_box() -> None:
     assert follow([(STANDS, 2), (DOWN, 6)], rests=True) == ([], [])
 
 
-ACROSS = (Box(120, 370, 280, 110), 0.2)
+TIPPED = (Box(120, 370, 280, 110), 0.2)
 LEAVES = [(Box(300, 100 + 30 * n, 120, 380 - 30 * n), 0.1) for n in range(8)]
 
 
@@ -283,8 +283,8 @@ LEAVES = [(Box(300, 100 + 30 * n, 120, 380 - 30 * n), 0.1) for n in range(8)]
         # Past the left border, and out of the frame below the camera.
         ([(Box(0, 200, 60, 200), 2), (Box(0, 340, 70, 70), 0.3)], False),
         ([(Box(300, 100, 120, 380), 2), *LEAVES], False),
-        # At the same border, but across it.
-        ([(Box(300, 180, 120, 300), 2), (Box(200, 300, 200, 180), 0.2), ACROSS], True),
+        # At the same border, but tipping over.
+        ([(Box(300, 180, 120, 300), 2), (Box(200, 300, 200, 180), 0.2), TIPPED], True),
     ],
 )
 def test_a_person_who_is_lost_while_sinking_fell(
