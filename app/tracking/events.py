@@ -143,6 +143,9 @@ _SINKS_BY, _SINKS_WITHIN_S, _MAX_RISE = 0.4, 1.6, 0.15
 _SINKS_BEFORE_LOSS_BY, _LOST_WITHIN_S = 0.3, 2.0
 # They are up again once the top has risen by this share of the height.
 _UP_AGAIN_BY = 0.25
+# Share of the frame's sides from whose ends on people may be leaving it, and the growth of the
+# width from which a body tips over: people who walk out below the camera hardly get wider.
+_BORDER_SHARE, _TIPS_BY = 0.02, 1.6
 
 
 class SinkDetector:
@@ -199,10 +202,6 @@ class SinkDetector:
         ]
         return min(higher, key=lambda box: box.y, default=None)
 
-
-# Share of the frame's sides from whose ends on people may be leaving it, and the growth of the
-# width from which a body tips over: people who walk out below the camera hardly get wider.
-_BORDER_SHARE, _TIPS_BY = 0.02, 1.6
 
 # Most time that a single frame counts for: just too short to begin an event.
 _MAX_STEP_S = 0.34

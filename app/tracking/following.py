@@ -90,8 +90,8 @@ class TrackedPeopleDetector:
 
         The search uses a lower threshold near people who have been lost, until their tracks end. A
         lost track that was not confirmed, or whose person has left the frame, does not cause a
-        search before the next one is due. Without tracks, every frame is searched unless the scene
-        is still.
+        search before the next one is due; nor does a person who fell and lies where they were last
+        seen. Without tracks, every frame is searched unless the scene is still.
         """
         recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
         expected: Expected = {one: one.next_window for one in recent if one.next_window}
@@ -102,7 +102,8 @@ class TrackedPeopleDetector:
         still &= len(expected) == len(people) == len(tracks) and not lost
         interval = STILL_SEARCH_EVERY_S if still else SEARCH_EVERY_S
         due = timestamp - self._searched_at >= interval
-        if (expected or still) and len(expected) == len(recent) and not due:
+        lies = any(track.lies_at for track in tracks)
+        if (expected or still or lies) and len(expected) == len(recent) and not due:
             expected = self._shown(frame, timestamp, expected, job)
             gone = [track for track in people if track in recent and track not in expected]
             if all(ends_at_border(track.box_filter.seen, frame.shape) for track in gone):

@@ -77,7 +77,7 @@ class Judgement:
 
 
 @dataclass(frozen=True)
-class Evidence:
+class PostureEvidence:
     """What postures are estimated from.
 
     Parameters
@@ -119,7 +119,7 @@ class PhotographModels:
 
     def evidence(
         self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
-    ) -> tuple[Body3D, Trust, Evidence]:
+    ) -> tuple[Body3D, Trust, PostureEvidence]:
         """A reading in three dimensions, how far to trust it, and what shows its posture."""
         body, given, landmarks = self.body(reading, camera), reading.raw, reading.landmarks
         trusted = trust_features(
@@ -138,7 +138,9 @@ class PhotographModels:
             box.width / box.height,
         )
         seen = visibility_features(reading, frame_shape)
-        evidence = Evidence(np.concatenate([shape, trusted, seen]), region_features(given.sampled))
+        evidence = PostureEvidence(
+            np.concatenate([shape, trusted, seen]), region_features(given.sampled)
+        )
         return body, self.trust.estimate(trusted), evidence
 
 
@@ -280,7 +282,7 @@ class PostureModel:
         both = self.by_surroundings(np.hstack([body, surroundings]))
         return np.asarray((self.by_body(body) + both) / 2, np.float32)
 
-    def estimate(self, evidence: Evidence, right: float) -> FramePosture:
+    def estimate(self, evidence: PostureEvidence, right: float) -> FramePosture:
         """Posture of a person, with the probability that their landmarks are right."""
         scores = self.scores(evidence.body[None], evidence.surroundings[None])
         return FramePosture(sharpened(scores, np.array([right]), self.sharpness)[0])

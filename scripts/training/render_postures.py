@@ -2,8 +2,8 @@
 
 A photograph is read as it is; with the body cut off or covered; and in bad light, half of them
 covered as well. Writes ``rows-NNNN.npz``, 500 photographs each: what shows the posture (see
-:class:`app.vision.judgement.Evidence`), and the truth. The same bytes come out for the same seed;
-files that are there are not made again.
+:class:`app.vision.judgement.PostureEvidence`), and the truth. The same bytes come out for the same
+seed; files that are there are not made again.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def falls() -> Iterator[Picture]:
 def crossing() -> Iterator[Picture]:
     """Two people who walk past each other at ten frames a second for 2.5 s: ``(340, 640)``.
 
-    The person who walks to the left is nearer, and hides the other half-way.
+    The nearer person walks to the left and covers the other one half-way.
     """
     near = standing()
     far = cv2.resize(near, (192, 256), interpolation=cv2.INTER_NEAREST)

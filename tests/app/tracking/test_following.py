@@ -102,6 +102,20 @@ def test_unconfirmed_tracks_and_people_at_the_border_cause_no_search(
     assert detector.searches == 1
 
 
+def test_for_a_person_who_fell_and_is_not_seen_searches_come_at_their_interval(
+    drawn: Estimator, detector: ColourDetector
+) -> None:
+    people = TrackedPeopleDetector(drawn.finder)
+    shown, empty = (drawn.decode(Upload(draw(*them)), Job()) for them in (((0, 100),), ()))
+    (sighting,) = people.find(shown, 0.0, [], Job())
+    track = Track(sighting, 0.0)
+    track.track_id, track.lies_at = 1, sighting.person.box
+    detector.searches = 0
+    for step in range(100, 200):  # Ten seconds, later.
+        assert people.find(empty, step / 10, [track], Job()) == []
+    assert 20 <= detector.searches <= 10 / SEARCH_EVERY_S
+
+
 def still(session: CameraSession, *people: tuple[int, int], light: float = 150) -> None:
     """Send three seconds of people who do not move, five frames a second."""
     for step in range(15):

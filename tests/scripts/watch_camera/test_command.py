@@ -248,7 +248,7 @@ def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
 
 
 def falling_walker() -> Iterator[NDArray[np.uint8]]:
-    """Six frames a second of a walker, cut out of a photograph, who stands and tips over."""
+    """A walker, cut out of a photograph, stands and then falls over: six frames a second."""
     data = WALKERS.parent
     yard, walkers = cv2.imread(str(data / "yard-empty.jpg")), cv2.imread(str(WALKERS))
     labels = cv2.imread(str(data / "walkers-mask.png"), cv2.IMREAD_GRAYSCALE)
