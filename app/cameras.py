@@ -33,15 +33,7 @@ class CameraKey(NamedTuple):
 
 @dataclass(frozen=True)
 class CameraTraffic:
-    """The frames of a camera that has a session.
-
-    Parameters
-    ----------
-    idle_s : float
-        Seconds since the last frame that was answered.
-    dropped : mapping of str to int
-        Number of frames refused since the session began, by reason.
-    """
+    """Seconds since a camera's last answered frame, and the frames refused since, by reason."""
 
     key: CameraKey
     idle_s: float
@@ -54,22 +46,9 @@ class TooManyCamerasError(ValueError):
 
 @dataclass(frozen=True)
 class SessionSummary:
-    """A camera session at a glance.
+    """A camera session at a glance: its last frame, in pixels and seconds, and its people.
 
-    Parameters
-    ----------
-    frames : int
-        Since the session began.
-    timestamp : float
-        Seconds, of the last frame.
-    width, height : int
-        Pixels, of the last frame.
-    track_ids : tuple of int
-        Of the people in the last frame, left to right.
-    age_s, idle_s : float
-        Seconds since the first and since the last frame came.
-    memory_bytes : int
-        Approximate memory used by the session.
+    ``age_s`` and ``idle_s`` are the seconds since the first and since the last frame came.
     """
 
     frames: int
@@ -84,13 +63,7 @@ class SessionSummary:
 
 @dataclass(frozen=True)
 class CameraSettings:
-    """What a caller says about a camera.
-
-    Parameters
-    ----------
-    fov_deg, pixel_aspect : float or None
-        As in :class:`app.estimation.upload.Upload`; values sent with a frame override these.
-    """
+    """What a caller says about a camera; optics sent with a frame override these."""
 
     zones: tuple[Zone, ...] = ()
     fov_deg: float | None = None

@@ -95,16 +95,9 @@ class VideoRun:
     ) -> AsyncGenerator[bytes, None]:
         """Yield a line for each frame; afterwards, :attr:`end` says why there are no more.
 
-        Parameters
-        ----------
-        first : VideoFrame
-            The first frame, which has been read already.
-        reader : VideoReader
-            Reader of the other frames.
-        write : callable
-            Writes the line of a frame and its number in the video, on the executor's thread.
-        is_ending : callable
-            Whether the service is being stopped.
+        The first frame has been read already. ``write`` makes the line of a frame and its number in
+        the video, on the executor's thread; ``is_ending`` says whether the service is being
+        stopped.
         """
         frame: VideoFrame | None = first
         try:
@@ -201,17 +194,7 @@ PostureLabel = PostureName | Literal["unclear"]
 
 @dataclass
 class TrackSummary:
-    """One person over the frames of a video.
-
-    Parameters
-    ----------
-    track_id : int
-        Unique within the video.
-    first_timestamp, last_timestamp : float
-        Seconds.
-    frames : int
-        Frames in which the person was seen.
-    """
+    """One person over the frames of a video in which they were seen; times in seconds."""
 
     track_id: int
     first_timestamp: float

@@ -183,14 +183,7 @@ def moment_block(
 def restore(
     parameters: Mapping[str, object], arrays: Mapping[str, NDArray[np.generic]]
 ) -> Descriptor:
-    """The descriptor that a manifest names.
-
-    Parameters
-    ----------
-    parameters : mapping
-        As :meth:`Descriptor.parameters` returned.
-    arrays : mapping of str to array
-        As :meth:`Descriptor.arrays` returned.
+    """The descriptor that a manifest names, from what its methods of these names returned.
 
     Raises
     ------

@@ -114,18 +114,6 @@ def diagonal_moments(
     vertical: NDArray[np.floating],
     horizontal: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """The diagonal moments ``Q[n, n]`` only.
-
-    Parameters
-    ----------
-    silhouettes : (B, H, W) array
-    vertical : (N, H) array
-    horizontal : (N, W) array
-
-    Returns
-    -------
-    (B, N) float32 array
-        Summed in float64, as in :func:`moments`.
-    """
+    """The diagonal moments ``Q[n, n]`` only, ``(B, N)``, summed as in :func:`moments`."""
     rows = vertical @ np.asarray(silhouettes, np.float64)
     return np.asarray(np.einsum("bnx,nx->bn", rows, horizontal), np.float32)

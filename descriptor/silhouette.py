@@ -169,15 +169,7 @@ def outline_distances(
 ) -> NDArray[np.float64]:
     """Mean distance from each outline to the nearest point of the other, averaged both ways.
 
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-    others : (B, 128, 48) uint8 array
-
-    Returns
-    -------
-    (B,) float64 array
-        Pixels.
+    Pixels ``(B,)`` between a silhouette ``(128, 48)`` and others ``(B, 128, 48)``.
     """
     silhouettes = np.concatenate([silhouette[None], others])
     # Shortest paths between two pixels stay within the bounding box of all silhouettes.

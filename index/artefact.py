@@ -51,16 +51,9 @@ class ArtefactError(ValueError):
 def load_index(
     path: Path, searched_by: Neighbours | None = None, *, reranked: bool = True
 ) -> PoseIndex:
-    """Read and verify an index.
+    """Read and verify an index, and the network beside it if there is one and it is wanted.
 
-    Parameters
-    ----------
-    path : Path
-        Folder of the artefact.
-    searched_by : Neighbours, optional
-        Search over its vectors; by default exact, in this process.
-    reranked : bool
-        Whether to read the network beside it, if there is one.
+    Its vectors are searched by ``searched_by``; by default exactly, in this process.
 
     Raises
     ------

@@ -51,13 +51,9 @@ _NEARLY_SQUARE = 0.75
 
 
 def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
-    """Rotations in degrees that the silhouette by itself suggests.
+    """Rotations in degrees that a silhouette ``(128, 48)`` by itself suggests.
 
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-    roll_deg : float
-        Roll of its camera; not 0 if the silhouette was rotated upright.
+    The roll of its camera is not 0 if the silhouette was rotated upright.
     """
     if roll_deg:
         both_ends: tuple[float, ...] = (0.0, -180.0)
@@ -86,19 +82,11 @@ MIN_ROTATION_SHARE = 0.2
 
 
 def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
-    """Rotations in degrees that the entries near the landmarks suggest.
+    """Rotations in degrees that the entries near the landmarks suggest, most frequent first.
 
-    Parameters
-    ----------
-    usual : sequence of float
-        From :func:`silhouette_rotations`.
-    roll_deg : (K,) float64 array
-        Rotations of the entries near the landmarks; see :class:`index.search.NearestEntries`.
-
-    Returns
-    -------
-    list of float
-        Usual ones or multiples of :data:`ROTATION_STEP_DEG`, the most frequent first.
+    They are the usual ones, from :func:`silhouette_rotations`, or multiples of
+    :data:`ROTATION_STEP_DEG`. The rotations ``(K,)`` of the entries are those of
+    :class:`index.search.NearestEntries`.
     """
     rounded = wrap_degrees(np.rint(roll_deg / ROTATION_STEP_DEG) * ROTATION_STEP_DEG)
     apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
@@ -157,19 +145,9 @@ def find_candidates(
 ) -> Candidates:
     """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
 
-    Parameters
-    ----------
-    queries : sequence of RotatedQuery
-        Rotations of the same silhouette.
-    k : int
-        Number of candidates per rotation; 0 if only ``nearest`` are wanted.
-    nearest : NearestEntries, optional
-        Entries near the landmarks; each is compared with the rotation nearest to its own.
-
-    Returns
-    -------
-    Candidates
-        Nearest first, each of them once, with the skeletons rotated to fit the query.
+    ``nearest`` are entries near the landmarks; each is compared with the rotation nearest to its
+    own. With a ``k`` of 0, only these are wanted. Each candidate is listed once, the nearest first,
+    its skeleton rotated to fit the query.
     """
     vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
     found = []

@@ -22,20 +22,11 @@ wrong."""
 
 
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Azimuth of the camera about shoulders and hips: 0 in front, 90 on the person's left.
+    """Azimuths ``(...)`` of the camera about shoulders and hips of skeletons ``(..., 24, 3)``.
 
-    It does not depend on the direction of the trunk in the picture, since people lying down may
-    face the camera as well.
-
-    Parameters
-    ----------
-    points_3d : (..., 24, 3) array
-        Camera axes; rows are ``POINT_NAMES``.
-
-    Returns
-    -------
-    (...) float64 array
-        Degrees from -180 to 180.
+    In degrees from -180 to 180: 0 in front, 90 on the person's left. They do not depend on the
+    direction of the trunk in the picture, since people lying down may face the camera as well.
+    Skeletons are in camera axes.
     """
     corners = np.asarray(points_3d[..., _CORNERS, :], np.float64)
     across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
@@ -61,20 +52,11 @@ def heading_shares(
     voters_deg: NDArray[np.float64],
     confidences: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Share of the voters' confidence that lies within a right angle of each heading.
+    """Share ``(N,)`` of the voters' confidence that lies within a right angle of each heading.
 
     Seen from the side, a body turned slightly towards the camera and one turned slightly away
-    agree; seen from the front, a body and its reflection in depth do not.
-
-    Parameters
-    ----------
-    azimuths_deg : (N,) float64 array
-    voters_deg, confidences : (M,) float64 array
-        Azimuths and confidences of the hypotheses that decide.
-
-    Returns
-    -------
-    (N,) float64 array
+    agree; seen from the front, a body and its reflection in depth do not. The voters are the
+    hypotheses that decide: azimuths and confidences ``(M,)``.
     """
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     agree = faces_camera(azimuths_deg[:, None] - voters_deg)
@@ -87,25 +69,14 @@ def nearest_of_both_facings(
     front_probability: float,
     pools: Sequence[int],
 ) -> list[int]:
-    """Choose hypotheses, nearest first, with each facing as frequent as it is likely.
+    """Choose rows of hypotheses, nearest first, with each facing as frequent as it is likely.
 
     The nearest is first. Among the first k, the share that faces the opposite way equals the
     probability of that facing. It is at least one in :data:`HYPOTHESES_PER_OPPOSITE_FACING`,
     however far these hypotheses are, as long as there are any.
 
-    Parameters
-    ----------
-    azimuths_deg, distances : (N,) float64 array
-    front_probability : float
-        Probability that the camera sees the person from the front.
-    pools : sequence of int
-        For each hypothesis to choose, the number of leading rows among which it is chosen;
-        ascending, and enough for a choice.
-
-    Returns
-    -------
-    list of int
-        Rows.
+    For each hypothesis to choose, ``pools`` has the number of leading rows among which it is
+    chosen; they ascend, and are enough for a choice.
     """
     order: list[int] = np.argsort(distances, kind="stable").tolist()
     front = faces_camera(azimuths_deg)

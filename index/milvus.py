@@ -98,14 +98,7 @@ class MilvusNeighbours:
 def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | None:
     """Load the index that the alias names, to be searched in Milvus; None if it is ``known``.
 
-    Parameters
-    ----------
-    uri : str
-        As :class:`pymilvus.MilvusClient` takes it.
-    artefacts : Path
-        The artefact, or a folder of several.
-    known : str
-        The version that is loaded already.
+    ``artefacts`` is the artefact, or a folder of several; ``known`` the version loaded already.
 
     Raises
     ------

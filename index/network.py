@@ -32,17 +32,7 @@ Array = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis divided into bins of the same width.
-
-    Parameters
-    ----------
-    first : float
-        Centre of the first bin.
-    step : float
-        Width of a bin.
-    bins : int
-        Number of bins.
-    """
+    """An axis divided into bins of the same width, from the centre of the first one on."""
 
     first: float
     step: float
@@ -124,13 +114,8 @@ def joint_positions(
 ) -> NDArray[np.float64]:
     """Columns, rows and depths ``(N, 19, 3)`` of the joints of skeletons; see :data:`AXES`.
 
-    Parameters
-    ----------
-    points_3d : (N, P, 3) array
-        Axes of the camera that saw the silhouette, metres, pelvis at the origin; the first 19
-        points are the joints.
-    points_normalised : (N, P, 2) array
-        Pixels of the normalised frame.
+    Of skeletons ``(N, P, 3)``, in metres about the pelvis and axes of the camera that saw the
+    silhouette, and in pixels of the normalised frame, the first 19 points are the joints.
     """
     pairs = points_normalised[:, :JOINTS], points_3d[:, :JOINTS, 2:]
     return np.concatenate(pairs, axis=-1, dtype=np.float64)
@@ -143,24 +128,12 @@ def bin_positions(positions: NDArray[np.floating]) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class Distributions:
-    """Logarithms of the probabilities of each joint's bins.
-
-    Parameters
-    ----------
-    log_probabilities : (19, 136) float64 array
-        Columns, rows, depths: see :data:`AXES`.
-    """
+    """Logarithms ``(19, 136)`` of the probabilities of each joint's bins, along :data:`AXES`."""
 
     log_probabilities: NDArray[np.float64]
 
     def log_likelihood(self, positions: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Mean log probability ``(N,)`` of joints ``(N, 19, 3)``, over joints and axes.
-
-        Parameters
-        ----------
-        positions : (N, 19, 3) array
-            See :func:`joint_positions`.
-        """
+        """Mean log probability ``(N,)`` of :func:`joint_positions`, over joints and axes."""
         fractional = bin_positions(positions)
         lower = np.minimum(fractional.astype(np.int64), _BINS_OF_AXIS - 2)
         share = fractional - lower
@@ -187,18 +160,10 @@ class Distributions:
     def posterior_means(
         self, positions: NDArray[np.floating], spread: tuple[float, float, float]
     ) -> NDArray[np.float64]:
-        """Posterior mean positions of joints, with a normal prior about given positions.
+        """Posterior mean positions ``(N, 19, 3)`` of joints, with a normal prior about given ones.
 
-        Parameters
-        ----------
-        positions : (N, 19, 3) array
-            Means of the prior; see :func:`joint_positions`.
-        spread : (float, float, float)
-            Standard deviations of the prior: columns and rows in pixels, depths in metres.
-
-        Returns
-        -------
-        (N, 19, 3) float64 array
+        ``spread`` holds the standard deviations of the prior: columns and rows in pixels, depths in
+        metres.
         """
         means = np.empty(positions.shape)
         for number, (axis, log_probabilities, sigma) in enumerate(

@@ -158,13 +158,7 @@ def classify_postures(
 
 
 def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
-    """Unit vectors ``(..., 3)`` away from the ground, in the axes of a camera that is not rolled.
-
-    Parameters
-    ----------
-    elevation_deg : float or (...) array
-        Elevation of the camera above the horizontal.
-    """
+    """Unit vectors ``(..., 3)`` away from the ground, in axes of cameras with this elevation."""
     elevation = np.deg2rad(np.asarray(elevation_deg, np.float64))
     return np.stack([np.zeros_like(elevation), -np.cos(elevation), -np.sin(elevation)], axis=-1)
 
@@ -172,10 +166,7 @@ def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
 def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     """Elevation of the camera ``(N,)`` that makes trunks most nearly level.
 
-    Parameters
-    ----------
-    points_3d : (N, P, 3) float array
-        Axes of a camera that is not rolled.
+    Skeletons ``(N, P, 3)`` are in the axes of a camera that is not rolled.
     """
     pelvis, neck = rows("pelvis", "neck")
     trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)

@@ -24,13 +24,7 @@ _SHARE_POWER = 4.0
 
 @dataclass(frozen=True)
 class NetworkRanking:
-    """Ranks the poses of one silhouette by the network's predictions of its joints.
-
-    Parameters
-    ----------
-    joints : Distributions
-        Where the joints may be.
-    """
+    """Ranks the poses of one silhouette by the network's predictions of its joints."""
 
     model: RankingModel
     joints: Distributions
@@ -84,14 +78,9 @@ class NetworkRanking:
     def features(
         self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute :data:`index.confidence.RERANKING_FEATURES` ``(M, F)``.
+        """Compute :data:`index.confidence.RERANKING_FEATURES` ``(M, F)`` from plain ``(M, 11)``.
 
-        Parameters
-        ----------
-        plain : (M, 11) float64 array
-            Those of :data:`index.confidence.FEATURES`.
-        distances : (M,) float64 array
-            From :meth:`distances`.
+        The distances are those of :meth:`distances`.
         """
         positions = joint_positions(modes.points_3d, modes.points_normalised)
         likelihood = self.joints.log_likelihood(positions)

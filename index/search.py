@@ -191,10 +191,8 @@ class NearestEntries:
 class LandmarkSearch:
     """Exhaustive search over skeletons of one size, about the hips; immutable.
 
-    Parameters
-    ----------
-    vectors : (E, 48) float32 array
-        Vectors from :func:`pose_vectors`, as seen by cameras that are not rolled.
+    Their vectors ``(E, 48)``, from :func:`pose_vectors`, are as seen by cameras that are not
+    rolled.
     """
 
     def __init__(self, vectors: NDArray[np.float32]) -> None:
@@ -214,12 +212,8 @@ class LandmarkSearch:
     ) -> NearestEntries:
         """Find the ``k`` nearest among all entries and their mirror images.
 
-        Parameters
-        ----------
-        points_3d : (12, 3) float64 array
-            Camera axes, with any origin and unit; rows are ``LIMBS``.
-        rolls_deg : tuple of float
-            Clockwise rotations in the picture that the person may have.
+        Limbs ``(12, 3)`` are in camera axes, with any origin and unit; the person may be rotated
+        clockwise in the picture by any of ``rolls_deg``.
         """
         queries = []
         for roll_deg in rolls_deg:

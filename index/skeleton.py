@@ -81,14 +81,8 @@ LIMB_SHOULDERS, LIMB_HIPS = (side_rows(part, among=LIMBS) for part in ("shoulder
 class KeypointSet:
     """A named selection of the stored points, in its own order.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Names of the keypoints.
-    indices : tuple of int
-        Their rows among :data:`POINT_NAMES`.
-    bones : tuple of (int, int)
-        Parent and child, as positions in ``names``.
+    ``indices`` are rows among :data:`POINT_NAMES`; bones lead from parent to child, as positions in
+    ``names``.
     """
 
     name: str
@@ -276,19 +270,10 @@ def camera_rotation(
 
 
 def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.float64]:
-    """Perspective projection of points about the pelvis, for a camera at ``distance``.
+    """Perspective projection ``(..., P, 2)`` of points, for a camera ``distance`` metres away.
 
-    Parameters
-    ----------
-    points : (..., P, 3) array
-        Camera axes, metres, origin at the pelvis.
-    distance : float or (...) array
-        From the camera to the pelvis, metres; greater than ``-z`` of every point.
-
-    Returns
-    -------
-    (..., P, 2) float64 array
-        x right, y down, in metres in the plane through the pelvis.
+    Points ``(..., P, 3)`` are in camera axes and metres about the pelvis; none may be behind the
+    camera. The result is in metres in the plane through the pelvis, x right and y down.
     """
     points = np.asarray(points, np.float64)
     depth = np.asarray(distance, np.float64)[..., None]
@@ -308,21 +293,10 @@ def bone_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
 def with_bone_lengths(
     points: NDArray[np.float64], lengths: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Set the bone lengths of skeletons, keeping the directions of their bones.
+    """Set the bone lengths of skeletons ``(..., 24, 3)``, keeping the directions of their bones.
 
-    Averaging skeletons shortens their bones; this restores them.
-
-    Parameters
-    ----------
-    points : (..., 24, 3) array
-        Skeletons, in any axes.
-    lengths : (..., 18) array
-        Lengths in the order of ``NATIVE.bones``.
-
-    Returns
-    -------
-    (..., 24, 3) float64 array
-        Pelvis at the origin; the face moves with the head.
+    Averaging skeletons shortens their bones; this restores them. The lengths ``(..., 18)`` are in
+    the order of ``NATIVE.bones``. The pelvis is then at the origin; the face moves with the head.
     """
     current, bones = _bones(points)
     bones = bones * (lengths / np.maximum(current, 1e-6))[..., None]
@@ -343,14 +317,8 @@ def pixels_per_metre(
 ) -> NDArray[np.float64]:
     """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares.
 
-    Parameters
-    ----------
-    points_3d : (M, 24, 3) float64 array
-        Camera axes, metres.
-    points_2d : (M, 24, 2) float64 array
-        Pixels.
-    points : int
-        Number of leading points that are used; by default the joints.
+    Skeletons ``(M, 24, 3)`` are in camera axes and metres, their places ``(M, 24, 2)`` in pixels.
+    Only the leading ``points`` are used, by default the joints.
     """
     metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
     pixels = points_2d[:, :points]

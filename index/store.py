@@ -86,12 +86,8 @@ class Label:
 class Entry(Label):
     """An entry's label and its skeleton.
 
-    Parameters
-    ----------
-    points_3d : (24, 3) float64 array
-        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
-    points_normalised : (24, 2) float64 array
-        Pixels of the normalised frame.
+    ``points_3d`` ``(24, 3)`` are metres about the pelvis in camera axes, ``points_normalised``
+    ``(24, 2)`` pixels of the normalised frame.
     """
 
     points_3d: NDArray[np.float64]
@@ -183,22 +179,10 @@ class PoseIndex:
     def search(
         self, vectors: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-        """Find the ``k`` entries nearest to any variant of each query.
+        """Find the ``k`` entries nearest to any of ``V`` variants of each query ``(B, V, D)``.
 
-        Parameters
-        ----------
-        vectors : (B, V, D) float32 array
-            ``V`` variants of each query; an entry may be found for several of them.
-        k : int
-            At least 1; K is at most ``V * E``.
-
-        Returns
-        -------
-        distances : (B, K) float32 array
-            Euclidean, ascending.
-        entry_ids : (B, K) int64 array
-        variants : (B, K) int64 array
-            The variant for which each entry was found.
+        Returns Euclidean distances, ascending, entries, and the variant for which each was found,
+        ``(B, K)`` each. An entry may be found for several variants, so K is at most ``V * E``.
         """
         queries, variants, dimension = vectors.shape
         flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
@@ -224,18 +208,10 @@ class PoseIndex:
     def points(
         self, entry_ids: NDArray[np.integer]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Skeletons of the given entries.
+        """Skeletons of entries ``(B,)``: ``(B, P, 3)`` in metres, and ``(B, P, 2)``.
 
-        Parameters
-        ----------
-        entry_ids : (B,) int array
-
-        Returns
-        -------
-        points_3d : (B, P, 3) float64 array
-            Camera axes, metres, pelvis at the origin.
-        points_normalised : (B, P, 2) float64 array
-            Pixels of the normalised frame.
+        The former are in camera axes about the pelvis, the latter in pixels of the normalised
+        frame.
         """
         entries = self.entries[entry_ids]
         rotations = camera_rotation(

@@ -45,17 +45,9 @@ _FONT_PX = 22
 
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
-    """Draw the frame with numbered boxes, postures, silhouettes and the best skeletons.
+    """Draw the frame with numbered boxes, postures, silhouettes and the best skeletons, BGR.
 
-    Parameters
-    ----------
-    keypoints : KeypointSet
-        Keypoints and bones to draw.
-
-    Returns
-    -------
-    (H + L, W, 3) uint8 array
-        BGR: the frame, and below it L rows that explain the colours.
+    Rows below the frame explain the colours.
     """
     picture = estimate.frame.copy()
     longer = max(picture.shape[:2])
@@ -159,18 +151,10 @@ def write_text(
     letter: int,
     colour: tuple[int, int, int],
 ) -> int:
-    """Write text with a dark outline; return the column where it ends.
+    """Write text with a dark outline into a BGR picture; return the column where it ends.
 
-    Parameters
-    ----------
-    picture : (H, W, 3) uint8 array
-        Changed.
-    corner : (int, int)
-        Column and row of the bottom left, pixels.
-    letter : int
-        Height of a capital letter, pixels.
-    colour : (int, int, int)
-        BGR.
+    ``corner`` is the column and row of its bottom left, ``letter`` the height of a capital letter,
+    in pixels.
     """
     scale, line = letter / _FONT_PX, max(1, letter // 9)
     for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):
@@ -205,17 +189,7 @@ def draw_skeleton(
     """Draw bones into a BGR picture, with a dark outline; points that are not finite are left out.
 
     Left and right have the colours of :data:`SIDE_COLOURS`; bones with an unsure end are dashed.
-
-    Parameters
-    ----------
-    picture : (H, W, 3) uint8 array
-        Changed.
-    points : (K, 2) float64 array
-        Pixels, in the order of ``keypoints``.
-    line : int
-        Pixels.
-    unsure : sequence of bool, optional
-        Whether each keypoint is unsure.
+    The points ``(K, 2)`` are pixels, in the order of ``keypoints``; lines are ``line`` pixels wide.
     """
     # OpenCV takes fixed-point coordinates, here with four fractional bits.
     fixed = np.round(np.nan_to_num(points) * 16).astype(int)

@@ -29,17 +29,9 @@ SIZE_SD = 0.1
 
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
-    """Count the pixels of a frame down its columns, alternately outside and inside a silhouette.
+    """Count the pixels of a frame down its columns, in turn outside and inside a silhouette.
 
-    Parameters
-    ----------
-    frame_shape : tuple of int
-        Height and width first, as ``frame.shape``.
-
-    Returns
-    -------
-    (N,) int64 array
-        The first counts pixels outside; it is 0 if the first pixel lies inside.
+    The first count is of pixels outside; it is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
     # Working in one dimension is several times as fast; no run crosses the margin of a column.

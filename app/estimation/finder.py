@@ -67,13 +67,8 @@ _BODY_MARGIN = 0.1
 class PeopleFinder:
     """Finds people with the detector, or where the caller marks them.
 
-    Parameters
-    ----------
-    min_person_px : float or None
-        Height of the smallest person to find with a background, pixels.
-    max_persons : int
-        Largest number of people; further detections are dropped, those with the lowest scores
-        first.
+    People at least ``min_person_px`` high are found with a background, and at most ``max_persons``,
+    those with the highest scores.
     """
 
     models: Models
@@ -83,11 +78,8 @@ class PeopleFinder:
     def find(self, upload: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
         """Find the people of a frame with their silhouettes, in no particular order.
 
-        Parameters
-        ----------
-        evidence : str
-            Whether to return landmarks. They may be read without being returned, because they also
-            separate people from the background.
+        The evidence says whether to return landmarks. They may be read without being returned,
+        because they also separate people from the background.
         """
         landmarks = evidence == "photograph" and upload.has_frame
         source, targets, cut = self._targets(upload, job)
@@ -140,10 +132,7 @@ class PeopleFinder:
     ) -> list[PoseReading | None]:
         """Read landmarks of people, and masks if wanted.
 
-        Returns
-        -------
-        list of PoseReading or None
-            None where a track's window shows nobody any more.
+        None stands where a track's window shows nobody any more.
         """
         reader = self.models.reader
 

@@ -118,16 +118,10 @@ _PELVIS = POINT_NAMES.index("pelvis")
 
 @dataclass(frozen=True)
 class PlacedSkeletons:
-    """Skeletons in front of a camera.
+    """Skeletons in front of a camera: metres, relative to the pelvis, in its axes.
 
-    Parameters
-    ----------
-    points_3d : (M, 24, 3) float64 array
-        Metres, camera axes, relative to the pelvis.
-    points_2d : (M, 24, 2) float64 array
-        Their projections, pixels of the frame.
-    pelvis : (M, 3) float64 array
-        Metres from the camera, in its axes.
+    ``points_3d`` are ``(M, 24, 3)``, their projections ``points_2d`` ``(M, 24, 2)`` pixels of the
+    frame, and ``pelvis`` ``(M, 3)`` metres from the camera.
     """
 
     points_3d: NDArray[np.float64]

@@ -57,16 +57,9 @@ _MIN_VOTE = 1e-3
 
 @dataclass(frozen=True)
 class EstimatedPosture:
-    """Probability of each posture of a person.
+    """Share ``(10,)`` of each of ``POSTURES`` of a person, summing to 1, and the likeliest posture.
 
-    Parameters
-    ----------
-    label : str
-        The likeliest posture, or ``unclear`` if its probability is too small.
-    probability : float
-        Calibrated probability of the likeliest posture.
-    shares : (10,) float64 array
-        Share of each of ``POSTURES``; they sum to 1.
+    The probability is calibrated; the label is ``unclear`` if it is too small.
     """
 
     label: PostureName | Literal["unclear"]
@@ -79,19 +72,9 @@ class EstimatedPosture:
 
 
 def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Share of each posture in the votes of hypotheses, of which there is at least one.
+    """Share ``(10,)`` of each of ``POSTURES`` in the votes of one or more hypotheses.
 
-    Parameters
-    ----------
-    postures : sequence of str
-        Posture of each hypothesis.
-    weights : sequence of float
-        Confidence of each hypothesis.
-
-    Returns
-    -------
-    (10,) float64 array
-        Share of each of ``POSTURES``.
+    They vote for their postures with their confidences.
     """
     votes = np.zeros(len(POSTURES))
     for posture, weight in zip(postures, weights, strict=True):
@@ -105,18 +88,10 @@ def estimate_posture(
     presence: float = 1.0,
     confidence: float = 1.0,
 ) -> EstimatedPosture:
-    """Estimate the posture of a person.
+    """Estimate a posture from votes ``(10,)``, see :func:`vote_posture`, and the landmarks if any.
 
-    Parameters
-    ----------
-    votes : (10,) float64 array
-        From :func:`vote_posture`.
-    frame_posture : FramePosture or None
-        From the landmarks; None for a silhouette alone.
-    presence : float
-        Probability that there is a person at all.
-    confidence : float
-        Confidence of the best hypothesis.
+    ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
+    hypothesis.
     """
     if frame_posture is None:
         return posture_of(votes, presence)
@@ -207,29 +182,11 @@ class PostureFilter:
         box: Box,
         weight: float = 1.0,
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
-        """Add a frame.
+        """Add a frame; return the track's posture, and the shares ``(10,)`` of this frame alone.
 
-        Parameters
-        ----------
-        timestamp : float
-            Seconds, later than that of the previous frame.
-        votes : (10,) float64 array
-            Share of each of ``POSTURES`` in the hypotheses of this frame.
-        frame_posture : FramePosture or None
-            Posture from the landmarks; None if none were read.
-        presence : float
-            Probability that the landmarks are a person's.
-        box : Box
-            Box of the person.
-        weight : float
-            Weight of the frame, 0 to 1.
-
-        Returns
-        -------
-        posture : EstimatedPosture
-            Posture of the track.
-        shares : (10,) float64 array
-            Shares of this frame alone.
+        The votes ``(10,)`` are those of the hypotheses, ``frame_posture`` is from the landmarks, if
+        any were read. ``presence`` is the probability that these are a person's, ``weight`` that of
+        the frame, 0 to 1.
         """
         shares = votes
         if frame_posture is not None:

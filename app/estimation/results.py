@@ -41,14 +41,8 @@ class Facing:
 class ProjectedHypothesis(PoseHypothesis):
     """A hypothesis with the label of its entry, placed in front of the camera.
 
-    Its ``points_3d`` are in the camera's axes and in the person's size.
-
-    Parameters
-    ----------
-    points_2d : (24, 2) float64 array
-        Pixels of the frame; rows are ``POINT_NAMES``.
-    pelvis : (3,) float64 array
-        Metres from the camera, in its axes.
+    Its ``points_3d`` are in the camera's axes and in the person's size. ``points_2d`` ``(24, 2)``
+    are pixels of the frame, ``pelvis`` ``(3,)`` metres from the camera, in its axes.
     """
 
     label: Label

@@ -52,16 +52,10 @@ narrower one."""
 
 
 class UploadError(ValueError):
-    """An upload that cannot be used.
+    """An upload that cannot be used; the message is one sentence.
 
-    Parameters
-    ----------
-    field : str
-        ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``.
-    reason : str
-        ``undecodable``, ``too_large``, or ``misfit``: valid in itself, but not for this frame.
-    message : str
-        One sentence.
+    The field is ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``; a ``misfit`` is
+    valid in itself, but not for this frame.
     """
 
     def __init__(
@@ -171,12 +165,7 @@ class DecodedUpload:
 class UploadDecoder:
     """Decodes uploads; raises :class:`UploadError` for those that cannot be used.
 
-    Parameters
-    ----------
-    max_pixels : int
-        Largest image accepted, width times height.
-    max_persons : int
-        Most people that boxes or a mask may mark.
+    Images may have ``max_pixels``; boxes or a mask may mark ``max_persons``.
     """
 
     max_pixels: int
@@ -333,27 +322,14 @@ def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
 
 @dataclass(frozen=True)
 class SquarePixels:
-    """How a frame was resized so that its pixels are square.
-
-    Parameters
-    ----------
-    sent, square : (int, int)
-        Height and width of the frame as sent, and with square pixels.
-    """
+    """Height and width of a frame as sent, and as it was resized so that its pixels are square."""
 
     sent: tuple[int, int]
     square: tuple[int, int]
 
     @classmethod
     def of_frame(cls, frame_shape: tuple[int, ...], pixel_aspect: float) -> SquarePixels:
-        """Widen or heighten a frame, so that no detail is lost.
-
-        Parameters
-        ----------
-        frame_shape : tuple of int
-            Height and width first.
-        pixel_aspect : float
-            Width over height of a pixel.
+        """Widen or heighten a frame with pixels of this aspect ratio, so that no detail is lost.
 
         Examples
         --------

@@ -27,12 +27,8 @@ _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 class AccessLogMiddleware:
     """ASGI middleware, the outermost: request ids, log lines, metrics, and unhandled errors.
 
-    Parameters
-    ----------
-    table : RouteTable
-        Names the route that a request was meant for, even if the request is refused earlier.
-    on_refused : callable
-        Called with the scope of a refused request and the reason.
+    The table names the route that a request was meant for, even if the request is refused earlier.
+    ``on_refused`` is called with the scope of a refused request and the reason.
     """
 
     def __init__(

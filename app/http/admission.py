@@ -34,14 +34,7 @@ STALLED_S = 1.0
 class UploadLimits:
     """Limits of request bodies of one kind.
 
-    Parameters
-    ----------
-    max_bytes : int
-        Of one body.
-    upload_timeout_s : float
-        Longest time to receive one.
-    max_held_bytes : int
-        Of all bodies of the kind together that are received or worked on at the same time.
+    ``max_held_bytes`` is of all of them together that are received or worked on at the same time.
     """
 
     max_bytes: int
@@ -90,16 +83,9 @@ class _Upload:
 class AdmissionMiddleware:
     """ASGI middleware that refuses uploads which are too large, too slow or too many.
 
-    Parameters
-    ----------
-    check : callable
-        Raises :class:`app.scheduling.job.BusyError` if the request would be refused later.
-    limits_of : callable
-        Returns the limits of a request's body.
-    max_open : int
-        Largest number of requests with a body that are received or answered at the same time.
-    origins : collection of str
-        Origins whose pages may send uploads, besides the service's own; ``*`` means all.
+    ``check`` raises :class:`app.scheduling.job.BusyError` if the request would be refused later. At
+    most ``max_open`` requests with a body are received or answered at the same time. Pages of
+    ``origins`` may send uploads, besides the service's own; ``*`` means all.
     """
 
     def __init__(

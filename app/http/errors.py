@@ -33,18 +33,8 @@ _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
 class ProblemError(Exception):
     """An error response, raised where the error is found.
 
-    Parameters
-    ----------
-    status : int
-        HTTP status.
-    detail : str
-        One sentence for the client.
-    field : str, optional
-        The parameter or form field at fault.
-    headers : mapping, optional
-        Headers of the response.
-    reason : str, optional
-        One word for programs; by default the status in words.
+    The detail is one sentence for the client; ``field`` is the parameter or form field at fault.
+    The reason is one word for programs, by default the status in words.
     """
 
     def __init__(
@@ -108,10 +98,7 @@ class ProblemResponse(Response):
 def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
     """Answer all errors of an application, its own and the framework's, as problems.
 
-    Parameters
-    ----------
-    table : RouteTable
-        Paths and methods to name in a 404 or 405.
+    A 404 or 405 names the paths and methods of the table.
     """
 
     def answer(kind: type[Exception], to_problem: Callable[[Any], ProblemError]) -> None:

@@ -24,14 +24,9 @@ _FRAMES_PATH = re.compile("/cameras/([^/]+)/frames")
 
 
 class Caller(NamedTuple):
-    """The owner of requests, if known.
+    """The owner of requests: position of the API key among the configured ones, and address.
 
-    Parameters
-    ----------
-    key : int or None
-        Position of the API key among the configured ones; None if no header holds a configured key.
-    address : str
-        Address of the client; a proxy on this machine names it in ``X-Forwarded-For``.
+    A proxy on this machine names the client's address in ``X-Forwarded-For``.
     """
 
     key: int | None
@@ -49,14 +44,8 @@ class CameraStream(NamedTuple):
 class Identity(NamedTuple):
     """The source of a request, whatever its route.
 
-    Parameters
-    ----------
-    stream : CameraStream or None
-        The camera that the request names, in its path or a header.
-    is_authorised : bool
-        Whether no API key is configured, or a header holds one.
-    has_key : bool
-        Whether a header holds a key, right or wrong.
+    ``stream`` is the camera that it names, in its path or a header. It is authorised if no API key
+    is configured, or a header holds one; ``has_key`` is true for a wrong key, too.
     """
 
     caller: Caller
@@ -66,13 +55,7 @@ class Identity(NamedTuple):
 
 
 class IdentityMiddleware:
-    """ASGI middleware that identifies each request once; see :func:`identity_of`.
-
-    Parameters
-    ----------
-    api_keys : sequence of SecretStr
-        The configured keys.
-    """
+    """ASGI middleware that identifies each request once; see :func:`identity_of`."""
 
     def __init__(self, app: ASGIApp, *, api_keys: Sequence[SecretStr]) -> None:
         self.app = app

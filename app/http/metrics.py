@@ -47,13 +47,7 @@ def buckets_until(deadline_s: float) -> tuple[float, ...]:
 
 
 class CameraCollector(Collector):
-    """Metrics of the cameras that have a session when they are scraped, and of no others.
-
-    Parameters
-    ----------
-    traffic : callable
-        Returns the traffic of these cameras.
-    """
+    """Metrics of the cameras that have a session when they are scraped, and of no others."""
 
     def __init__(self, traffic: Callable[[], Iterable[CameraTraffic]]) -> None:
         self._traffic = traffic
@@ -83,10 +77,7 @@ class CameraCollector(Collector):
 class Metrics:
     """The metrics of an application, in a registry of its own.
 
-    Parameters
-    ----------
-    deadline_s : float
-        Time after which a frame is abandoned.
+    Frames are abandoned after ``deadline_s``, the last bound of the durations.
     """
 
     def __init__(self, deadline_s: float = 10.0) -> None:

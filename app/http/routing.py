@@ -21,16 +21,9 @@ request_id: ContextVar[str] = ContextVar("request_id", default="")
 class RequestState:
     """Notes on one request, shared by all copies of its scope.
 
-    Parameters
-    ----------
-    status : int, optional
-        Status of the answer, once it has begun.
-    headers : dict
-        Headers to add to the answer, be it a reply or a problem.
-    rejected_reason : str
-        Why the request was refused, for the log line and the metrics.
-    is_ending : bool
-        Whether the service is being stopped.
+    ``status`` is that of the answer, once it has begun; ``headers`` are added to it, be it a reply
+    or a problem. ``rejected_reason`` is for the log and the metrics; ``is_ending`` says whether the
+    service is being stopped.
     """
 
     status: int | None = None
@@ -47,17 +40,7 @@ def request_state(scope: Scope) -> RequestState:
 
 @dataclass(frozen=True)
 class KnownRoute:
-    """A path of the service.
-
-    Parameters
-    ----------
-    path : str
-        As declared: ``/index/entries/{entry}``.
-    pattern : compiled regular expression
-        Matches the paths of requests.
-    methods : tuple of str
-        In alphabetical order.
-    """
+    """A path as declared (``/index/entries/{entry}``), its pattern, and its methods in order."""
 
     path: str
     pattern: re.Pattern[str]
@@ -65,13 +48,7 @@ class KnownRoute:
 
 
 class RouteTable:
-    """The routes of an application, for middleware that runs before the router.
-
-    Parameters
-    ----------
-    routes : iterable of BaseRoute
-        Starlette's and FastAPI's; routes without a path are ignored.
-    """
+    """The routes of an application that have a path, for middleware that runs before the router."""
 
     def __init__(self, routes: Iterable[BaseRoute]) -> None:
         self._routes = [_known(route) for route in routes if hasattr(route, "path_regex")]

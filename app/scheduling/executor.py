@@ -35,14 +35,8 @@ Result = TypeVar("Result")
 class Executor:
     """Works on a bounded number of frames at a time; the others wait in a queue.
 
-    Parameters
-    ----------
-    frames : int
-        Largest number worked on at a time. Threads start when needed.
-    max_wait_s : float
-        Longest wait of a frame until its work begins.
-    timeout_s : float
-        Longest time for a frame, waiting included.
+    A frame waits at most ``max_wait_s`` until its work begins, and takes at most ``timeout_s``,
+    waiting included. Threads start when needed.
     """
 
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
@@ -64,17 +58,11 @@ class Executor:
         camera: Hashable = None,
         unbounded_wait: bool = False,
     ) -> T:
-        """Work on a frame in a thread.
+        """Work on a frame in a thread; ``work`` calls :meth:`Job.checkpoint` between its steps.
 
-        Parameters
-        ----------
-        work : callable
-            The work on the frame; it calls :meth:`Job.checkpoint` between its steps.
-        until_gone : async callable
-            Returns when the client has disconnected. A waiting frame is then dropped, and work that
-            has begun is cancelled.
-        caller, kind, camera, unbounded_wait
-            See :meth:`app.scheduling.queue.FairQueue.enqueue`.
+        ``until_gone`` returns when the client has disconnected: a waiting frame is then dropped,
+        and work that has begun is cancelled. The rest is as in
+        :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
         Raises
         ------

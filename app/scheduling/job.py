@@ -19,14 +19,9 @@ STAGES = ("decode", "detect", "segment", "keypoints", "describe", "search")
 
 
 class BusyError(Exception):
-    """The service has more work than it can do.
+    """The service has more work than it can do; the message is one sentence for the caller.
 
-    Parameters
-    ----------
-    message : str
-        One sentence for the caller.
-    retry_after_s : int, optional
-        Time after which a retry makes sense, seconds; None if it makes none.
+    A retry makes sense after ``retry_after_s``; none does if it is None.
     """
 
     reason = "busy"
@@ -66,14 +61,9 @@ def serial_map(function: Callable[[Item], Result], items: Iterable[Item], /) -> 
 
 
 class Job:
-    """The work on one frame.
+    """The work on one frame, for which ``timeout_s`` are left.
 
-    Parameters
-    ----------
-    timeout_s : float
-        Time left for the work.
-    parallel_map : callable
-        Shares the parts of the frame among threads.
+    ``parallel_map`` shares the parts of the frame among threads.
     """
 
     def __init__(self, timeout_s: float = math.inf, parallel_map: ParallelMap = serial_map) -> None:
@@ -97,10 +87,7 @@ class Job:
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
         """Call a function with each part of the frame, in parallel, after a checkpoint for each.
 
-        Returns
-        -------
-        list
-            Results in the order of the items.
+        Results come in the order of the items.
         """
 
         def checked(item: Item) -> Result:

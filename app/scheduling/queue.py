@@ -78,18 +78,10 @@ class _Place(NamedTuple):
 
 @dataclass(eq=False)
 class Ticket:
-    """A frame in the queue.
+    """A frame in the queue, and the live camera that took it, if any.
 
-    Attributes
-    ----------
-    place : _Place
-    camera : hashable
-        The live camera that took the frame, if any.
-    begun : asyncio.Future
-        Its result is None once the frame may begin, or a function that makes the error if it never
-        will. A stored exception would keep the frame alive through its traceback.
-    began_at : float
-        Seconds on the queue's clock.
+    The result of ``begun`` is None once the frame may begin, or a function that makes the error if
+    it never will: a stored exception would keep the frame alive through its traceback.
     """
 
     place: _Place
@@ -99,15 +91,7 @@ class Ticket:
 
 
 class FairQueue:
-    """Frames that wait for one of a number of threads, or are worked on.
-
-    Parameters
-    ----------
-    max_wait_s : float
-        Longest wait of a frame.
-    clock : callable
-        Monotonic seconds.
-    """
+    """Frames that wait for one of a number of threads, ``max_wait_s`` at most, or are worked on."""
 
     def __init__(
         self, threads: int, max_wait_s: float, clock: Callable[[], float] = time.monotonic
@@ -155,22 +139,11 @@ class FairQueue:
         *,
         unbounded_wait: bool = False,
     ) -> Ticket:
-        """Add a frame.
+        """Add a frame; raise :class:`OverloadedError` if it would wait for too long.
 
-        Parameters
-        ----------
-        caller : hashable
-            Callers share the threads equally.
-        kind : hashable
-            Kind of work; frames of one kind take about the same time.
-        camera : hashable, optional
-            A live camera, whose waiting frame is superseded.
-        unbounded_wait : bool
-            Whether the frame is admitted however long it has to wait.
-
-        Raises
-        ------
-        OverloadedError
+        Callers share the threads equally. Frames of one kind take about the same time. A waiting
+        frame of the same live camera is superseded. With ``unbounded_wait``, the frame is admitted
+        however long it has to wait.
         """
         if (older := self._waiting_of(camera)) is not None:
             number = older.place.number
@@ -195,10 +168,7 @@ class FairQueue:
     def release(self, ticket: Ticket, *, worked: bool = False) -> None:
         """Remove a frame, if it has not been removed before.
 
-        Parameters
-        ----------
-        worked : bool
-            Whether the work was completed, so that its duration is typical of its kind.
+        ``worked`` says whether the work was completed, so that its duration is typical of its kind.
         """
         if ticket in self._working:
             self._working.remove(ticket)

@@ -39,10 +39,7 @@ _CAMERAS = TypeAdapter(
 def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     """Read the settings of cameras by their names; none without a file.
 
-    Parameters
-    ----------
-    path : Path or None
-        A JSON object: for each name, the body of ``PUT /cameras/{camera_id}``.
+    The file holds a JSON object: for each name, the body of ``PUT /cameras/{camera_id}``.
 
     Raises
     ------

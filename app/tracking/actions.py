@@ -154,22 +154,10 @@ class ActionModel:
         votes: NDArray[np.float64],
         clarity: float = 1.0,
     ) -> NDArray[np.float64]:
-        """Recognise actions.
+        """Probabilities ``(..., A)`` of actions.
 
-        Parameters
-        ----------
-        features : (..., D) float64 array
-            From :func:`window_features`.
-        votes : (..., A) float64 array
-            From :meth:`votes`.
-        clarity : float
-            How clearly the motion of limbs is seen, 0 to 1; if it is less clear, everyday actions
-            get more weight.
-
-        Returns
-        -------
-        (..., A) float64 array
-            Probabilities.
+        They follow from :func:`window_features` ``(..., D)`` and :meth:`votes` ``(..., A)``. The
+        less clearly the motion of limbs is seen, 0 to 1, the more weight everyday actions get.
         """
         everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
         odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
@@ -210,13 +198,7 @@ FULL_WEIGHT_PX = LANDMARK_PX
 
 
 class ActionRecogniser:
-    """Recognises what the person of a track does, from the last seconds.
-
-    Parameters
-    ----------
-    model : ActionModel, optional
-        The shipped one by default.
-    """
+    """Recognises what the person of a track does, from the last seconds."""
 
     def __init__(self, model: ActionModel | None = None) -> None:
         self._model = shipped_model() if model is None else model
@@ -231,23 +213,10 @@ class ActionRecogniser:
         smoothed: Smoothed,
         posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
-        """Add a frame of the track.
+        """Add a frame of the track, in which the person has a hypothesis.
 
-        Parameters
-        ----------
-        timestamp : float
-            Seconds, later than that of the previous frame.
-        person : Person
-            With at least one hypothesis.
-        smoothed : Smoothed
-            The track's pose at this frame.
-        posture : EstimatedPosture, optional
-            Posture of the track, given if it is more reliable than the motion, as with landmarks.
-
-        Returns
-        -------
-        RecognisedAction or None
-            None until the person has been seen for a second, and if no action is likely.
+        The track's posture is given if it is more reliable than the motion, as with landmarks. The
+        result is None until the person has been seen for a second, and if no action is likely.
         """
         self._add_sample(timestamp, person, smoothed)
         if timestamp - self._window[0][0].timestamp < _MIN_WINDOW_S:
@@ -299,13 +268,7 @@ def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArra
 
 
 def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
-    """Features ``(D,)`` of poses at any, even irregular, rate.
-
-    Parameters
-    ----------
-    samples : sequence of PoseSample
-        In order of time, over at least two intervals of ``RATE_HZ``.
-    """
+    """Features ``(D,)`` of poses at any, even irregular, rate, over two intervals or more."""
     times = np.array([sample.timestamp for sample in samples])
     wanted = np.arange(times[-1], times[0] - 1e-9, -1 / RATE_HZ)[::-1]
 
@@ -327,20 +290,11 @@ def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
 def action_features(
     points_3d: NDArray[np.float64], up: NDArray[np.float64], path: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Features of a motion.
+    """Features ``(D,)`` of a motion of ``RATE_HZ`` poses a second.
 
-    Parameters
-    ----------
-    points_3d : (T, P, 3) float64 array
-        Camera axes, metres, ``RATE_HZ`` poses a second; the first 19 points are the joints.
-    up : (3,) float64 array
-        Direction away from the ground, in the same axes.
-    path : (T, 2) float64 array
-        Path of the pelvis, metres, from :func:`app.tracking.motion.ground_path`.
-
-    Returns
-    -------
-    (D,) float64 array
+    Skeletons ``(T, P, 3)`` and the direction away from the ground, ``(3,)``, are in camera axes and
+    metres; the first 19 points are the joints. The path ``(T, 2)`` of the pelvis, metres, is from
+    :func:`app.tracking.motion.ground_path`.
     """
     joints, left = _in_body_axes(points_3d, up)
     at = {name: joints[:, row] for row, name in enumerate(JOINT_NAMES)}

@@ -17,19 +17,9 @@ _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 
 
 def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
-    """Colours of the upper and lower half of a person.
+    """Colours ``(2 * 40,)`` of the upper and lower half of a person in a frame, BGR.
 
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    silhouette : Silhouette
-        Of the person, in the frame.
-
-    Returns
-    -------
-    (2 * 40,) float32 array
-        Histograms of hue by saturation, and of brightness, for each half; they sum to 1.
+    They are histograms of hue by saturation, and of brightness, for each half; they sum to 1.
     """
     rows, columns = silhouette.crop.shape
     left, top = silhouette.left, silhouette.top
@@ -58,14 +48,7 @@ _PATCH_CELLS, _MAX_LIGHT, _MAX_DIFFERENCE = 16, 15.0, 6.0
 
 @dataclass(frozen=True)
 class Patch:
-    """A small grey picture of a part of a frame.
-
-    Parameters
-    ----------
-    box : Box
-        The part, in pixels of the frame.
-    grey : (16, 16) float32 array
-    """
+    """A small grey picture ``(16, 16)`` of a part of a frame: of a box in its pixels."""
 
     box: Box
     grey: NDArray[np.float32]

@@ -50,12 +50,7 @@ class _Hysteresis:
 class Reliability:
     """Weight of a frame of a track, 0 to 1.
 
-    Parameters
-    ----------
-    body : float
-        Probability that the body is read correctly.
-    person : float
-        Probability that there is a person at all.
+    ``body`` is the probability that the body is read correctly, ``person`` that there is a person.
     """
 
     body: float
@@ -68,15 +63,7 @@ _MAX_ELEVATION_DEG = 60.0
 
 @dataclass(frozen=True)
 class HipHeight:
-    """How high the hips are in the picture.
-
-    Parameters
-    ----------
-    y_px : float
-        Pixels, downwards.
-    px_per_m : float
-        Pixels per vertical metre of the person.
-    """
+    """How high the hips are in the picture: pixels downwards, and per vertical metre."""
 
     y_px: float
     px_per_m: float
@@ -245,25 +232,11 @@ class EventDetector:
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
-        Parameters
-        ----------
-        track_id : int
-            Identity of the person in the events.
-        timestamp : float
-            Seconds, later than that of the previous frame.
-        shares : (10,) float64 array
-            Probability of each of ``POSTURES`` at this frame.
-        reliability : Reliability
-            Weights of the frame: ``body`` for postures and gestures, ``person`` for being on the
-            ground.
-        hips : HipHeight, optional
-            Height of the hips; None if they are not seen.
-        box : Box, optional
-            Of what is seen of the person.
-        unclear : bool
-            Whether the track's posture is unclear.
-        rests : bool
-            Whether the person is in a zone for resting, where lying is no event.
+        ``shares`` ``(10,)`` are those of ``POSTURES`` at this frame. The reliability weights
+        postures and gestures by ``body``, and being on the ground by ``person``. Hips are None
+        where they are not seen; the box is of what is seen of the person. ``unclear`` is the
+        track's posture; ``rests`` says whether the person is in a zone for resting, where lying is
+        no event.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
         step = reliability.body * elapsed

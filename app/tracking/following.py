@@ -40,13 +40,7 @@ Expected = Mapping[Track, PersonWindow | PoseReading]
 
 
 class TrackedPeopleDetector:
-    """Finds people frame by frame; one frame at a time.
-
-    Parameters
-    ----------
-    finder : PeopleFinder
-        Searches, reads and observes.
-    """
+    """Finds people frame by frame; one frame at a time."""
 
     def __init__(self, finder: PeopleFinder) -> None:
         self._finder = finder
@@ -56,23 +50,9 @@ class TrackedPeopleDetector:
     def find(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
     ) -> list[Sighting]:
-        """Find the people of a frame with their silhouettes and landmarks.
+        """Find the people of a frame with their silhouettes and landmarks, given all tracks.
 
-        Parameters
-        ----------
-        upload : DecodedUpload
-            Of the frame.
-        timestamp : float
-            Seconds.
-        tracks : sequence of Track
-            All tracks of the session.
-        job : Job
-            Charged with the time of each stage.
-
-        Returns
-        -------
-        list of Sighting
-            Each has the track in whose window the person was read, or None after a search.
+        Each sighting has the track in whose window the person was read, or None after a search.
         """
         targets = self._targets(upload.frame, timestamp, tracks, job)
         people = self._finder.observe(upload, [target for target, _ in targets], job, tight=True)

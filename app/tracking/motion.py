@@ -20,16 +20,9 @@ from index.skeleton import wrap_degrees
 
 @dataclass(frozen=True)
 class GroundVelocity:
-    """Velocity over the ground, metres per second.
+    """Velocity over the ground, metres per second: to the right of the picture, and away.
 
-    Parameters
-    ----------
-    right : float
-        Velocity towards the right of the picture.
-    away : float
-        Velocity away from the camera.
-    reliable_speed : float
-        A speed with little noise: for a low camera, steps away from it have less weight.
+    Steps away from a low camera have less weight in ``reliable_speed``, which has little noise.
     """
 
     right: float
@@ -76,16 +69,8 @@ class GroundMotion:
     ) -> GroundVelocity:
         """Add a frame and return the velocity over the last second.
 
-        Parameters
-        ----------
-        timestamp : float
-            Seconds.
-        box : Box
-            Box of the whole person, pixels.
-        px_per_m : float
-            Scale of the person in the picture.
-        elevation_deg : float
-            Elevation of the camera, from this frame's hypotheses.
+        The box is of the whole person. Their scale, and the elevation of the camera, are from this
+        frame's hypotheses.
         """
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
@@ -109,21 +94,9 @@ class GroundMotion:
 def ground_path(
     pelvis_px: NDArray[np.float64], pixels_per_metre: float, elevation_deg: float
 ) -> NDArray[np.float64]:
-    """Path of the pelvis over the ground.
+    """Path ``(T, 2)`` of a pelvis over the ground: metres across, and towards the camera.
 
-    Parameters
-    ----------
-    pelvis_px : (T, 2) float64 array
-        Pelvis in the frame.
-    pixels_per_metre : float
-        Scale of the person in the picture.
-    elevation_deg : float
-        Elevation of the camera above the person.
-
-    Returns
-    -------
-    (T, 2) float64 array
-        Metres across the picture and towards the camera.
+    ``pelvis_px`` ``(T, 2)`` are its places in the frame.
     """
     sine = max(float(np.sin(np.deg2rad(elevation_deg))), _MIN_PATH_SINE)
     return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))
@@ -165,12 +138,8 @@ _FRONT = np.abs(_CENTRES_DEG) < 90
 class Heading:
     """The direction a person faces, as the azimuth of the camera about them.
 
-    Parameters
-    ----------
-    shares : (BINS,) float64 array
-        Probabilities of the azimuths.
-    front : bool
-        Whether the camera sees the front; it changes only on strong evidence.
+    ``shares`` ``(BINS,)`` are probabilities of azimuths. ``front`` says whether the camera sees the
+    front; it changes only on strong evidence.
     """
 
     shares: NDArray[np.float64]
@@ -207,16 +176,8 @@ class HeadingFilter:
     ) -> Heading:
         """Add a frame.
 
-        Parameters
-        ----------
-        timestamp : float
-            Seconds, later than the last one.
-        azimuths_deg, weights : (N,) float64 arrays
-            Azimuths and weights of the frame's hypotheses; weights sum to 1.
-        clarity : float
-            How clearly the picture shows the azimuth, 0 to 1.
-        velocity : GroundVelocity
-            Velocity of the person.
+        Its hypotheses have azimuths and weights ``(N,)``, of sum 1. ``clarity`` says how clearly
+        the picture shows the azimuth, 0 to 1.
         """
         shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:

@@ -19,16 +19,10 @@ SessionState = Literal["new", "warm"]
 class SmoothedPose:
     """A track's pose at the newest frame, estimated from all frames so far.
 
-    Parameters
-    ----------
-    points_3d : (24, 3) float64 array
-        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
-    points_2d : (24, 2) float64 array
-        Pixels of the frame.
-    confidence : float
-        Calibrated probability that the mean joint error in the normalised frame is below 5 px.
-    entry : int
-        Index entry of the hypothesis of this frame that the pose follows.
+    ``points_3d`` ``(24, 3)`` are metres in camera axes about the pelvis, ``points_2d`` ``(24, 2)``
+    pixels of the frame. The confidence is the probability that the mean joint error in the
+    normalised frame is below 5 px; ``entry`` is that of the hypothesis of this frame that the pose
+    follows.
     """
 
     points_3d: NDArray[np.float64]
@@ -49,27 +43,10 @@ class RecognisedAction:
 class Event:
     """Something that began, ended or happened to a tracked person at a frame.
 
-    Parameters
-    ----------
-    event : str
-        ``entered``, ``left``, ``zone_entered``, ``zone_left``, ``lying``, ``fell`` or
-        ``arms_raised``.
-    track_id : int
-        Identity of the person.
-    state : str
-        ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
-        ``unconfirmed`` if it had only begun to show at the last frame.
-    timestamp : float
-        Seconds, of the frame.
-    probability : float
-        Confidence in the event, 0 to 1.
-    zones : tuple of str
-        Names of the zones in which the person is; for ``zone_entered`` and ``zone_left``, of the
-        zone that the person entered or left.
-    caller_track_id : str or None
-        As in :class:`TrackedPerson`.
-    dwell_s : float or None
-        Seconds that the person was in the zone; only for ``zone_left``.
+    The state is ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
+    ``unconfirmed`` if it had only begun to show at the last frame. The zones are those in which the
+    person is; of ``zone_entered`` and ``zone_left``, the zone that they entered or left.
+    ``dwell_s``, only of ``zone_left``, is how long they were in it.
     """
 
     event: EventName
@@ -86,20 +63,9 @@ class Event:
 class TrackedPerson(Person):
     """A person of a frame and the track they belong to; facing and posture are the track's.
 
-    Parameters
-    ----------
-    track_id : int
-        Unique within a camera session.
-    age_frames : int
-        Frames since the track began, this one included.
-    pose : SmoothedPose or None
-        None if the track has had no silhouette, and so no pose, for a second.
-    action : RecognisedAction or None
-        None until enough frames have been seen, and if no action is likely.
-    zones : tuple of str
-        Names of the zones in which the person is.
-    caller_track_id : str or None
-        The identity that the caller gave the person's box, if any.
+    ``age_frames`` includes this one. There is no pose if the track has had no silhouette for a
+    second; no action until enough frames have been seen, and if none is likely. The caller may have
+    given the person's box an identity of their own.
     """
 
     track_id: int
@@ -112,22 +78,10 @@ class TrackedPerson(Person):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackedFrame(Estimate):
-    """A frame of a camera session.
+    """A frame of a camera session, its people from left to right, in pixels as sent.
 
-    Parameters
-    ----------
-    persons : tuple of TrackedPerson
-        Ordered left to right, in pixels of the frame as sent.
-    frame_index : int
-        Number of the frame in the session, from 0.
-    timestamp : float
-        Seconds.
-    session : str
-        ``new`` if this frame began the session.
-    reset : str or None
-        Why all tracks were dropped before this frame, as a sentence.
-    events : tuple of Event
-        What began, ended or happened at this frame.
+    ``session`` is ``new`` if the frame, number ``frame_index`` from 0, began it; ``reset`` says as
+    a sentence why all tracks were dropped before it.
     """
 
     persons: tuple[TrackedPerson, ...]

@@ -97,20 +97,10 @@ SMOOTHING = Smoothing()
 class Smoothed:
     """A track's pose at its newest frame, and what follows from it.
 
-    Parameters
-    ----------
-    pose : SmoothedPose
-    facing : Facing
-    votes : (10,) float64 array
-        Share of each of ``POSTURES`` among the states, weighted by their probabilities.
-    velocity : GroundVelocity
-    elevation_deg : float
-        Elevation of the camera above the person, averaged over the track.
-    px_per_m : float
-        Scale of the person in this frame.
-    confidence_features : (float, float)
-        Log odds of the hypotheses near the pose, and of the share of probability near it. Their
-        weighted sum gives the pose's confidence.
+    ``votes`` ``(10,)`` are the shares of ``POSTURES`` among the states, weighted by their
+    probabilities. The elevation of the camera above the person is averaged over the track, the
+    scale is that of this frame. The pose's confidence follows from a weighted sum of the log odds
+    of the hypotheses near it, and of those of the share of probability near it.
     """
 
     pose: SmoothedPose
@@ -216,20 +206,7 @@ class PoseSmoother:
         self._last: tuple[SmoothedPose, _Place] | None = None
 
     def update(self, person: Person, timestamp: float) -> Smoothed | None:
-        """Add the track's next frame and return the pose at it.
-
-        Parameters
-        ----------
-        person : Person
-            The person as estimated from the frame alone.
-        timestamp : float
-            Seconds, later than the last one.
-
-        Returns
-        -------
-        Smoothed or None
-            None if the person has no hypotheses in this frame.
-        """
+        """Add a frame of a person; return the pose at it, None without hypotheses."""
         if not person.hypotheses or person.facing is None:
             return None
         frame = _Frame.of(person, self._smoothing.max_states)
@@ -258,17 +235,7 @@ class PoseSmoother:
     def extrapolate(self, person: Person, timestamp: float) -> SmoothedPose | None:
         """The last pose, moved to where the person is in a later frame without hypotheses.
 
-        Parameters
-        ----------
-        person : Person
-            The person in that frame.
-        timestamp : float
-            Seconds.
-
-        Returns
-        -------
-        SmoothedPose or None
-            None if the last pose is too old, or there is none.
+        None if the last pose is too old, or there is none.
         """
         if self._last is None:
             return None

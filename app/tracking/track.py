@@ -30,15 +30,8 @@ _HIPS = side_rows("hip")
 class Sighting:
     """A person seen in a frame, not yet matched to a track.
 
-    Parameters
-    ----------
-    person : Person
-    appearance : (80,) float32 array or None
-        Colours; None where there is no photograph or no silhouette.
-    patch : Patch or None
-        The person's place in the picture; None where there is no photograph.
-    track : Track or None
-        The track in whose window the person was read, or that the caller named.
+    Colours ``(80,)`` and patch are None without a photograph, colours also without a silhouette. A
+    track is known if the person was read in its window, or the caller named it.
     """
 
     person: Person
@@ -68,13 +61,6 @@ class Track:
 
     In each frame that shows the person, :meth:`see` adds the place. Once the track is confirmed,
     :meth:`update` adds the poses, also of a frame in which the person is hidden and has none.
-
-    Parameters
-    ----------
-    sighting : Sighting
-        The first.
-    timestamp : float
-        Seconds.
     """
 
     def __init__(self, sighting: Sighting, timestamp: float) -> None:
@@ -157,20 +143,8 @@ class Track:
     ) -> tuple[TrackedPerson, list[Event]]:
         """Add the poses of a frame; without any, the last one is kept and moved with the person.
 
-        Parameters
-        ----------
-        person : Person
-            As estimated from this frame alone; without hypotheses if the person is hidden.
-        timestamp : float
-            Seconds.
-        zones : sequence of Zone
-            Zones of the camera.
-
-        Returns
-        -------
-        tracked : TrackedPerson
-        events : list of Event
-            What begins, ends or happens with this frame.
+        The person is as estimated from this frame alone. What begins, ends or happens with it is
+        returned as well.
         """
         track_id = self._known_id()
         smoothed = self._smoother.update(person, timestamp)
@@ -328,18 +302,9 @@ _MAX_COST = 1.1
 def associate(
     tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
 ) -> list[int | None]:
-    """Assign each sighting to a track so that the sum of the costs is minimal.
+    """The position of the track of each sighting, None for a new person.
 
-    Parameters
-    ----------
-    tracks, sightings : sequences of Track and Sighting
-    timestamp : float
-        Time of the sightings, seconds.
-
-    Returns
-    -------
-    list of int or None
-        For each sighting, the position of its track; None for a new person.
+    The sum of the costs is minimal.
     """
     if not tracks or not sightings:
         return [None] * len(sightings)
@@ -410,13 +375,6 @@ class BoxFilter:
     """Predicts a person's box, assuming a constant velocity.
 
     The place is the middle of the lower edge, where the person stands.
-
-    Parameters
-    ----------
-    box : Box
-        The first.
-    timestamp : float
-        Seconds.
     """
 
     def __init__(self, box: Box, timestamp: float) -> None:
@@ -435,17 +393,7 @@ class BoxFilter:
         return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
 
     def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Correct the prediction using an observed box.
-
-        Parameters
-        ----------
-        box : Box
-            As person.
-        timestamp : float
-            Seconds.
-        whole : bool
-            Whether all of the person was seen; otherwise the size does not shrink.
-        """
+        """Correct the prediction by an observed box; it shrinks only if the person is whole."""
         elapsed = max(timestamp - self._timestamp, _MIN_ELAPSED_S)
         predicted = self._predicted_place(elapsed)
         growth = np.array([box.width, box.height]) - self._size

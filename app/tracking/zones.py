@@ -92,16 +92,10 @@ def is_rest(zones: Iterable[Zone]) -> bool:
 
 @dataclass
 class _Stay:
-    """A person in a zone, or about to be; all times in seconds.
+    """A person in a zone since a time, or about to be; all times in seconds.
 
-    Parameters
-    ----------
-    since : float
-        When the person came in.
-    entered : bool
-        Whether the person has been inside for long enough.
-    outside_since : float or None
-        When the person was first seen outside again; None while inside.
+    They have entered once they have been inside for long enough. ``outside_since`` is when they
+    were first seen outside again, None while inside.
     """
 
     since: float

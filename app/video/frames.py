@@ -49,20 +49,11 @@ class TooLargeError(ValueError):
 
 
 class Frame(NamedTuple):
-    """A frame of a video.
+    """A frame of a video: its number from 0, and the upright picture ``(H, W, 3)``, BGR.
 
-    Parameters
-    ----------
-    number : int
-        Number in the video, from 0.
-    timestamp : float
-        Seconds since the first frame; ascends.
-    damaged : bool
-        Whether data is missing or wrong, in this frame or in one that it builds on.
-    pixel_aspect : float
-        Width over height of a pixel of the upright picture.
-    pixels : (H, W, 3) uint8 array
-        The upright picture, BGR.
+    ``timestamp`` is in seconds since the first frame, and ascends. A frame is damaged if data is
+    missing or wrong, in it or in one that it builds on. ``pixel_aspect`` is the width over the
+    height of a pixel of the upright picture.
     """
 
     number: int
@@ -75,14 +66,8 @@ class Frame(NamedTuple):
 class Video:
     """A video that is open for decoding, on one thread.
 
-    Parameters
-    ----------
-    source : str or file
-        A path, an address or a file.
-    options : dict of str, optional
-        FFmpeg's options for opening it.
-    timeout_s : float, optional
-        Limit on the wait for an address.
+    The source is a path, an address or a file; ``options`` are FFmpeg's for opening it. An address
+    may keep it waiting for ``timeout_s``.
 
     Raises
     ------

@@ -120,16 +120,9 @@ async def _log_last_line(stream: asyncio.StreamReader) -> None:
 
 
 class VideoReader:
-    """Frames of a video as they are decoded.
+    """Frames of a video as they are decoded, from standard output of the decoder.
 
-    Parameters
-    ----------
-    stream : StreamReader
-        Standard output of the decoder.
-    max_pixels : int
-        Limit on a frame.
-    timeout_s : float
-        Limit on the time between two frames.
+    A frame may have ``max_pixels``, and ``timeout_s`` may pass between two frames.
     """
 
     def __init__(

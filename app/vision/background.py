@@ -20,16 +20,10 @@ _MAX_HOLE = 0.05  # Area relative to the mask; larger holes stay.
 
 
 class BackgroundSegmenter:
-    """Cuts people out by their difference from the empty scene.
+    """Cuts people out by their difference from a picture of the empty scene.
 
-    The difference is kept for further calls with the same frame.
-
-    Parameters
-    ----------
-    background : (H, W, 3) uint8 array
-        BGR picture of the empty scene, taken by the same fixed camera.
-    min_person_px : float
-        Height of the smallest person wanted, in pixels.
+    The picture ``(H, W, 3)``, BGR, is from the same fixed camera; the smallest person wanted is
+    ``min_person_px`` high. The difference is kept for further calls with the same frame.
     """
 
     def __init__(self, background: NDArray[np.uint8], *, min_person_px: float = 50) -> None:
@@ -124,19 +118,7 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
     Exposure is a gain and an offset for each channel, fitted to the pixels that agree; the noise is
     estimated from what remains. A shadow dims all channels alike and evenly.
 
-    Parameters
-    ----------
-    frame, background : (H, W, 3) uint8 array
-        BGR.
-
-    Returns
-    -------
-    (H, W) bool array
-
-    Raises
-    ------
-    ValueError
-        If the shapes of frame and background differ.
+    Both pictures are ``(H, W, 3)``, BGR; ``ValueError`` if their shapes differ.
     """
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")

@@ -146,18 +146,10 @@ class NetworkPass:
 
 
 def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Interpolate feature maps linearly at the landmarks.
+    """Interpolate feature maps ``(N, S, S, C)`` linearly at the landmarks: ``(N, 33, C)``.
 
-    Parameters
-    ----------
-    maps : (N, S, S, C) float32 array
-    points : (N, 39, 5) array
-        Pixels of the window in the first two columns, see :class:`NetworkPass`.
-
-    Returns
-    -------
-    (N, 33, C) float32 array
-        Beyond the map's outermost cells, their values are repeated.
+    Points are those of :class:`NetworkPass`. Beyond the map's outermost cells, their values are
+    repeated.
     """
     count, size = maps.shape[:2]
     places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / LANDMARK_PX) - 0.5
@@ -234,12 +226,7 @@ class MaskNetwork:
 class BlazePoseDetection:
     """A body that BlazePose's detector finds.
 
-    Parameters
-    ----------
-    window : PersonWindow
-        About the circle around the body.
-    score : float
-        0 to 1; not a probability.
+    The window is about the circle around the body; the score is not a probability.
     """
 
     window: PersonWindow

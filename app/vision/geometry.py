@@ -123,21 +123,10 @@ def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:
 
 
 def non_max_suppression(boxes: Boxes, scores: NDArray[np.float64], max_iou: float) -> list[int]:
-    """Keep the best of overlapping boxes.
+    """Rows of boxes ``(N, 4)`` that are kept, best first: the best of overlapping ones.
 
-    Unlike OpenCV's function, it keeps the first of boxes with equal scores.
-
-    Parameters
-    ----------
-    boxes : (N, 4) float64 array
-    scores : (N,) float64 array
-    max_iou : float
-        Intersection over union from which the box of the lower score is dropped.
-
-    Returns
-    -------
-    list of int
-        Rows kept, best first.
+    ``max_iou`` is the intersection over union from which the box of the lower score ``(N,)`` is
+    dropped. Unlike OpenCV's function, this one keeps the first of boxes with equal scores.
     """
     overlaps = iou_matrix(boxes, boxes)
     is_open = np.ones(len(boxes), bool)
@@ -189,12 +178,8 @@ class PersonWindow:
     def about_circle(cls, centre: NDArray[np.floating], top: NDArray[np.floating]) -> PersonWindow:
         """Make the window about the circle around a body.
 
-        Parameters
-        ----------
-        centre : (2,) array
-            Middle of the hips, in pixels of the frame.
-        top : (2,) array
-            The circle's point in the direction of the head.
+        Both points ``(2,)``, in pixels of the frame: the middle of the hips, and the point of the
+        circle in the direction of the head.
         """
         right, down = (np.asarray(top, np.float64) - centre).tolist()
         radius = max(math.hypot(right, down), _MIN_RADIUS_PX)
@@ -243,18 +228,7 @@ def transform_points(
 
 
 def sample_window(frame: NDArray[np.uint8], window: PersonWindow, pixels: int) -> NDArray[np.uint8]:
-    """Sample a window of a frame; what lies beyond the frame is black.
-
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-    pixels : int
-        Side of the result.
-
-    Returns
-    -------
-    (pixels, pixels, 3) uint8 array
-    """
+    """Sample a window of a frame as ``(pixels, pixels, 3)``; beyond the frame it is black."""
     size = np.array([frame.shape[1], frame.shape[0]])
     centre = np.array([window.x, window.y])
     # Only the part about the window is averaged.
@@ -289,10 +263,7 @@ PixelRect = tuple[int, int, int, int]
 def crop(image: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
     """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
 
-    Returns
-    -------
-    (height, width) or (height, width, C) array
-        A view where the rectangle lies inside the image.
+    The result is a view where the rectangle lies inside the image.
     """
     left, top, width, height = rect
     rows, columns = image.shape[:2]

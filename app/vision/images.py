@@ -46,15 +46,7 @@ class ImageTooLargeError(ImageError):
 
 @dataclass(frozen=True)
 class Photograph:
-    """A decoded photograph.
-
-    Parameters
-    ----------
-    pixels : (H, W, 3) uint8 array
-        BGR.
-    warnings : tuple of str
-        What may impair the result, ordered by name.
-    """
+    """A decoded photograph ``(H, W, 3)``, BGR, and what may impair the result, ordered by name."""
 
     pixels: NDArray[np.uint8]
     warnings: tuple[ImageWarning, ...] = ()
@@ -122,12 +114,8 @@ _ORIENTATION, _ON_THE_SIDE = 0x0112, (5, 6, 7, 8)  # EXIF tag, and values that s
 def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
     """Make a black photograph of the size of an encoded one, for answers that need no more.
 
-    Of a JPEG, only the header is read, so the rest may be missing or broken.
-
-    Raises
-    ------
-    ImageTooLargeError, ImageError
-        As for :func:`decode_image`.
+    Of a JPEG, only the header is read, so the rest may be missing or broken. Raises like
+    :func:`decode_image`.
     """
     header = _checked_header(data, max_pixels)
     if header.format in _JPEG:

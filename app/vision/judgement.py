@@ -48,13 +48,7 @@ FRAME_POSTURES: tuple[FramePostureName, ...] = get_args(FramePostureName)
 
 @dataclass(frozen=True)
 class FramePosture:
-    """Probability of each posture.
-
-    Parameters
-    ----------
-    probabilities : (6,) float64 array
-        Of :data:`FRAME_POSTURES`; they sum to 1.
-    """
+    """Probability ``(6,)`` of each of :data:`FRAME_POSTURES`; they sum to 1."""
 
     probabilities: NDArray[np.float64]
 
@@ -107,13 +101,7 @@ class PhotographModels:
     def judge(
         self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
     ) -> Judgement:
-        """A reading in three dimensions, how far to trust it, and its posture.
-
-        Raises
-        ------
-        ValueError
-            If the reading is not from the network.
-        """
+        """A reading of the network in three dimensions, how far to trust it, and its posture."""
         body, trust, evidence = self.evidence(reading, camera, frame_shape)
         return Judgement(body, trust, self.posture.estimate(evidence, trust.right))
 
@@ -177,10 +165,7 @@ _FACE = [LANDMARK_NAMES.index("nose"), *_EARS]
 class TrustModel:
     """Estimates how far to trust readings.
 
-    Parameters
-    ----------
-    network : DenseNetwork
-        Log odds of a person, and of right landmarks where there is one.
+    The network gives the log odds of a person, and of right landmarks where there is one.
     """
 
     network: DenseNetwork

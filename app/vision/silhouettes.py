@@ -33,27 +33,12 @@ def silhouettes_of(
     exact: bool,
     checkpoint: Callable[[], None] = lambda: None,
 ) -> list[Silhouette | None]:
-    """Cut people out of the masks of their readings.
+    """Cut people out of the masks of the readings of all people known in a frame.
 
-    A pixel in several people's masks goes to the person with the highest probability.
-
-    Parameters
-    ----------
-    readings : sequence of PoseReading
-        Of all people known in the frame, with masks.
-    boxes : sequence of Box
-        The box of each.
-    frame_shape : tuple of int
-        Height and width first.
-    exact : bool
-        Whether boxes are tight; if not, limbs may reach beyond them.
-    checkpoint : callable
-        Called before each person; raises an error if the work is no longer wanted.
-
-    Returns
-    -------
-    list of Silhouette or None
-        One for each reading, in order; None where the network did not see the person.
+    A pixel in several people's masks goes to the person with the highest probability. Unless the
+    boxes are exact, limbs may reach beyond them. ``checkpoint`` is called before each person; it
+    raises an error if the work is no longer wanted. None stands where the network did not see the
+    person.
     """
     height, width = frame_shape[:2]
     regions = [
@@ -226,13 +211,7 @@ def with_truncation(
 ) -> list[Silhouette | None]:
     """Set the flag ``truncated`` of the silhouettes of one frame.
 
-    Parameters
-    ----------
-    silhouettes : sequence of Silhouette or None
-    boxes : sequence of Box
-        The people's boxes, which stand in for missing silhouettes.
-    frame_shape : tuple of int
-        Height and width first.
+    The people's boxes stand in for missing silhouettes.
     """
     people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
     result: list[Silhouette | None] = []

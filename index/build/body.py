@@ -210,12 +210,8 @@ def _to_body_axes(points: NDArray[np.float64]) -> NDArray[np.float64]:
 class Retargeting:
     """How the bones of a clip drive those of an avatar.
 
-    Parameters
-    ----------
-    source : (B,) int array
-        For each bone of the avatar the bone of the clip that turns it.
-    alignment : (B, 3, 3) float64 array
-        Rotation from the avatar's rest pose to the zero pose of the motion.
+    ``source`` ``(B,)`` are the bones of the clip that turn those of the avatar, ``alignment`` ``(B,
+    3, 3)`` rotations from the avatar's rest pose to the zero pose of the motion.
     """
 
     source: NDArray[np.int64]
@@ -292,17 +288,9 @@ def about_vertical(angle: NDArray[np.float64]) -> NDArray[np.float64]:
 def pose_transforms(
     avatar: Avatar, retargeting: Retargeting, rotations: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compute what a pose does to the bones.
+    """Transforms ``(F, B, 3, 4)`` of the bones from rest pose to posed body axes, pelvis at 0.
 
-    Parameters
-    ----------
-    rotations : (F, B', 3, 3) array
-        World rotations of the clip's bones.
-
-    Returns
-    -------
-    (F, B, 3, 4) float64 array
-        From rest pose to posed body axes, pelvis at the origin.
+    ``rotations`` ``(F, B', 3, 3)`` are the world rotations of the clip's bones.
     """
     linear = rotations[:, retargeting.source] @ retargeting.alignment
     starts = np.zeros((len(rotations), len(avatar.bones), 3))

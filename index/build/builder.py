@@ -43,16 +43,10 @@ BODIES_ATTRIBUTION = (
 
 @dataclass(frozen=True)
 class QueryCounts:
-    """How many silhouettes an index is asked for.
+    """Silhouettes that an index is asked for.
 
-    Parameters
-    ----------
-    upright : int
-        Frames of the clips of the first manifest.
-    near_ground : int
-        Frames of the clips of the other manifests.
-    laid_down : int
-        Frames of both, laid down.
+    Frames of the clips of the first manifest, of those of the other manifests, and of both, laid
+    down.
     """
 
     upright: int = 2000
@@ -140,12 +134,7 @@ def build(
     *,
     executor: Executor | None = None,
 ) -> PoseIndex:
-    """Build an index from a motion folder.
-
-    Parameters
-    ----------
-    executor : Executor, optional
-        Renders the silhouettes; by default threads of this process.
+    """Build an index from a motion folder; by default, threads of this process render it.
 
     Raises
     ------
@@ -218,17 +207,9 @@ _LAID_DOWN_TRIED = 3
 def choose_poses(poses: Poses, reference: Avatar, count: int, seed: int) -> Poses:
     """Choose upright, low and laid-down poses, each group with its share.
 
-    Recorded poses are chosen to cover all others best. Laid-down poses are chosen at random: their
-    supply is endless, and the ones farthest from one another would be outliers.
-
-    Parameters
-    ----------
-    reference : Avatar
-        Body on which poses are compared.
-    count : int
-        Number of poses to choose.
-    seed : int
-        Decides which poses are laid down, and on which side.
+    Recorded poses are chosen to cover all others best, compared on a reference body. Laid-down
+    poses are chosen at random: their supply is endless, and the ones farthest from one another
+    would be outliers.
     """
     joints = joints_of(poses, reference)
     low = np.isin(classify_postures(joints, BODY_UP), [POSTURES.index(name) for name in LOW])
@@ -315,13 +296,7 @@ NOT_HELD_OUT = (
 
 
 class Split(NamedTuple):
-    """Segments to learn from and segments to ask for.
-
-    Parameters
-    ----------
-    by_clip : bool
-        Whether no clip is in both; else the same clips were cut in two.
-    """
+    """Segments to learn from and to ask for: of different clips, or of clips cut in two."""
 
     kept: list[Segment]
     held: list[Segment]

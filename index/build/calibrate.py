@@ -135,13 +135,7 @@ class Trial:
 
 
 def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES) -> Trial:
-    """Ask an index for silhouettes whose skeletons are known.
-
-    Parameters
-    ----------
-    n : int
-        Hypotheses per query.
-    """
+    """Ask an index for ``n`` hypotheses of each silhouette, whose skeletons are known."""
     names = FEATURES if index.reranker is None else RERANKING_FEATURES
     features = np.zeros((len(queries), n, len(names)))
     confidence = np.zeros((len(queries), n))

@@ -120,16 +120,8 @@ def learn_descriptor(
 ) -> DiscriminantDescriptor:
     """The projection that best tells the poses of a simulation apart.
 
-    Parameters
-    ----------
-    seed : int
-        Chooses the silhouettes whose neighbours are compared.
-    faults : callable
-        Degrades silhouettes; the descriptor learns to ignore these faults.
-
-    Returns
-    -------
-    DiscriminantDescriptor
+    The seed chooses the silhouettes whose neighbours are compared. The descriptor learns to ignore
+    the faults by which silhouettes are degraded.
     """
     scatter = measure_scatter(simulation, seed, recipe, faults=faults)
     return discriminate(scatter, recipe.dimension, recipe.regularisation)

@@ -47,10 +47,7 @@ class MotionError(ValueError):
 class Rig:
     """How the joints of some BVH files correspond to ours.
 
-    Parameters
-    ----------
-    joints : mapping of str to str
-        Joints of the files by the names of ours; those left out have the same name.
+    ``joints`` has joints of the files by the names of ours; those left out have the same name.
     """
 
     joints: Mapping[str, str] = field(default_factory=dict)
@@ -204,12 +201,7 @@ def _read_segments(file: Path) -> list[Segment]:
 
 
 def read_clip(file: Path, rig: Rig = CMU) -> Clip:
-    """Read one BVH file; its joints get our names.
-
-    Parameters
-    ----------
-    rig : Rig
-        Names of its own joints.
+    """Read one BVH file; its joints, which the rig names, get our names.
 
     Raises
     ------

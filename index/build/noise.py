@@ -45,21 +45,10 @@ def degrade(
     joints: NDArray[np.floating],
     generator: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], Placement]:
-    """Make a simulated silhouette look as if it had been cut out of a photograph.
+    """Make a normalised silhouette look as if it had been cut out of a photograph.
 
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-        Normalised; 1 on the person.
-    joints : (19, 2) array
-        Positions of the joints in it.
-
-    Returns
-    -------
-    degraded : (128, 48) uint8 array
-        Normalised again.
-    placement : Placement
-        From the old normalised frame to the new one, which shifts where parts were lost.
+    ``joints`` ``(19, 2)`` are positions in it. The result is normalised again; its placement leads
+    from the old normalised frame to the new one, which shifts where parts were lost.
     """
     padded = np.pad(silhouette, _MARGIN_PX)
     places = np.asarray(joints, np.float64) + _MARGIN_PX
@@ -144,19 +133,7 @@ def degrade_all(
     joints: NDArray[np.floating],
     generator: np.random.Generator,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Degrade many silhouettes.
-
-    Parameters
-    ----------
-    silhouettes : (B, 128, 48) uint8 array
-    joints : (B, 19, 2) array
-
-    Returns
-    -------
-    degraded : (B, 128, 48) uint8 array
-    joints : (B, 19, 2) float64 array
-        Positions of the joints in them.
-    """
+    """Degrade silhouettes ``(B, 128, 48)``; return them with their joints ``(B, 19, 2)``."""
     degraded = np.empty_like(silhouettes)
     moved = np.empty(joints.shape)
     for row, (silhouette, places) in enumerate(zip(silhouettes, joints, strict=True)):

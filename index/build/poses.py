@@ -38,13 +38,7 @@ TRUNK_BELOW_M = 0.3
 
 
 def with_level_heads(clips: Sequence[Clip], subjects: Sequence[str]) -> tuple[Clip, ...]:
-    """Rotate each subject's head so that its median direction in upright frames is straight ahead.
-
-    Parameters
-    ----------
-    subjects : sequence of str
-        Subject of each clip.
-    """
+    """Rotate each subject's head so that its median direction in upright frames is ahead."""
     pitches: dict[str, list[NDArray[np.float64]]] = {subject: [] for subject in subjects}
     for clip, subject in zip(clips, subjects, strict=True):
         pitches[subject].append(_upright_pitches(clip))
@@ -84,20 +78,11 @@ LYING_SIDES = ("back", "left", "belly", "right")
 def laid_down(
     rotations: NDArray[np.float64], lying_deg: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Lay bodies down.
+    """Lay bodies down, whose pelvis faces +z before and after.
 
-    Parameters
-    ----------
-    rotations : (P, B, 3, 3) float64 array
-        World rotations of the bones, the pelvis facing +z.
-    lying_deg : (P,) float64 array
-        Turn about the long axis before the body is laid on its back: 90 lies on the left side,
-        180 on the belly. NaN leaves a pose as it is.
-
-    Returns
-    -------
-    (P, B, 3, 3) float64 array
-        The pelvis faces +z again.
+    ``rotations`` ``(P, B, 3, 3)`` are world rotations of the bones. ``lying_deg`` ``(P,)`` is the
+    turn about the long axis before the body is laid on its back: 90 lies on the left side, 180 on
+    the belly. NaN leaves a pose as it is.
     """
     about_long_axis = about_vertical(np.deg2rad(np.nan_to_num(lying_deg)))
     # From upright to the back: what was up points backwards, what was ahead points up.
@@ -226,21 +211,10 @@ def joints_of(poses: Poses, avatar: Avatar) -> NDArray[np.float32]:
 
 
 def lay_down(poses: Poses, avatar: Avatar, count: int, seed: int) -> Poses:
-    """Lay some poses on the ground, each turned about the body's long axis at random.
+    """Lay ``count`` poses on the ground, each turned about the body's long axis at random.
 
-    Only poses whose trunk then lies on the ground, rather than on the limbs, are returned.
-
-    Parameters
-    ----------
-    avatar : Avatar
-        Body that is laid down.
-    count : int
-        Number of poses to try.
-
-    Returns
-    -------
-    Poses
-        Their actions are called ``lie-on-...``.
+    Only those whose trunk then lies on the ground, rather than on the limbs of this avatar, are
+    returned, with actions called ``lie-on-...``.
     """
     generator = np.random.default_rng(seed)
     tried = poses.take(np.sort(generator.permutation(len(poses))[:count]))
@@ -276,14 +250,8 @@ def merged(parts: Sequence[Poses]) -> Poses:
 def farthest_points(features: NDArray[np.floating], count: int) -> NDArray[np.int64]:
     """Farthest point sampling: each row chosen is the farthest from those before it.
 
-    Parameters
-    ----------
-    features : (P, D) array
-
-    Returns
-    -------
-    (min(count, P),) int64 array
-        In order of choice; the first is the row nearest to the mean.
+    At most ``count`` rows of features ``(P, D)``, in order of choice; the first is the row nearest
+    to the mean.
     """
     points = np.asarray(features, np.float32)
     squares = (points**2).sum(axis=1)

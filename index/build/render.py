@@ -22,19 +22,9 @@ def skin(
     weights: NDArray[np.float32],
     transforms: NDArray[np.float32],
 ) -> NDArray[np.float32]:  # pragma: no cover - compiled
-    """Linear blend skinning.
+    """Linear blend skinning: vertices ``(V, 3)`` posed by transforms ``(B, 3, 4)`` of bones.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float32 array
-    influences : (V, K) int32 array
-    weights : (V, K) float32 array
-        In descending order; a zero ends the list.
-    transforms : (B, 3, 4) float32 array
-
-    Returns
-    -------
-    (V, 3) float32 array
+    Influences and weights ``(V, K)`` are in descending order; a zero ends the list.
     """
     posed = np.zeros_like(vertices)
     for v in range(len(vertices)):
@@ -102,17 +92,10 @@ def fill_triangles(
     closed: int,
     image: NDArray[np.uint8],
 ) -> None:  # pragma: no cover - compiled
-    """Set the pixels of an image that triangles cover to 1.
+    """Set the pixels of an image that triangles ``(T, 3)`` cover to 1.
 
-    Parameters
-    ----------
-    plane : (V, 2) float32 array
-        Projected vertices, pixels, x before y.
-    triangles : (T, 3) int32 array
-    closed : int
-        Number of leading triangles that form closed surfaces, whose far side is not drawn.
-    image : (H, W) uint8 array
-        Written.
+    ``plane`` ``(V, 2)`` are projected vertices, pixels, x before y. The first ``closed`` triangles
+    form closed surfaces, whose far side is not drawn.
     """
     for t in range(len(triangles)):
         _fill(plane, triangles[t, 0], triangles[t, 1], triangles[t, 2], t < closed, image)

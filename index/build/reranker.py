@@ -180,19 +180,10 @@ def train(
     *,
     start: nn.Sequential | None = None,
 ) -> nn.Sequential:
-    """Train on some entries of an index, their mirror images and degraded versions.
+    """Train on entries ``(R,)`` of an index, their mirror images and degraded versions.
 
-    Parameters
-    ----------
-    rows : (R,) int array
-        The entries.
-    start : torch.nn.Sequential, optional
-        Already trained network to start from; by default one of random weights.
-
-    Returns
-    -------
-    torch.nn.Sequential
-        For :func:`in_whole_numbers`.
+    It starts from a trained network, or from random weights; the result is for
+    :func:`in_whole_numbers`.
     """
     torch.set_num_threads(1)
     torch.manual_seed(config.seed)
@@ -364,12 +355,7 @@ def _loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
 def in_whole_numbers(layers: nn.Sequential, planes: NDArray[np.float32]) -> JointNetwork:
     """The network as it is run: normalisations taken up, channels last, in whole numbers.
 
-    Parameters
-    ----------
-    layers : torch.nn.Sequential
-        As trained.
-    planes : (B, 64, 24, 3) float32 array
-        Sample input, which shows how large the values between the layers become.
+    Sample input ``(B, 64, 24, 3)`` shows how large the values between the trained layers become.
     """
     weighted = _weights_and_biases(layers)
     values, step = [quantise(picture) for picture in planes], 1 / QUANT_MAX
