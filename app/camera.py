@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Evidence, Person
-from app.estimation.upload import DecodedUpload, SquarePixels, Upload
+from app.estimation.upload import DecodedUpload, Rectification, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.appearance import Patch, appearance_histogram
@@ -63,7 +63,7 @@ class CameraSession:
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
-        self._size: tuple[int, ...] | None = None
+        self._rectification: Rectification | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
         # These have not been reported yet, since a frame may fail half-way.
@@ -123,12 +123,12 @@ class CameraSession:
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
         decoded = self._estimator.decode(upload, job)
-        frame, pixels = decoded.frame, decoded.pixels
+        frame, rectification = decoded.frame, decoded.rectification
         warnings = decoded.warnings
         if any(is_outside(zone.polygon, decoded.sent.shape) for zone in zones):
             warnings = (*warnings, "zone_outside")
-        zones = [replace(zone, polygon=pixels.points(zone.polygon)) for zone in zones]
-        self._start_afresh_if_needed(frame.shape, timestamp)
+        zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
+        self._start_afresh_if_needed(rectification, timestamp)
         sightings = self._find(upload, decoded, evidence, timestamp, job)
         if decoded.has_frame:
             sightings = [_with_looks(sighting, frame) for sighting in sightings]
@@ -145,13 +145,13 @@ class CameraSession:
         events, self._events = tuple(self._events), []
         return TrackedFrame(
             frame=decoded.sent,
-            camera=decoded.camera,
+            camera=rectification.camera_sent(decoded.camera),
             warnings=warnings,
             frame_index=self._frames - 1,
             timestamp=timestamp,
             session="new" if self._frames == 1 else "warm",
             reset=reset,
-            persons=tuple(_as_sent(person, pixels) for person in tracked),
+            persons=tuple(_as_sent(person, rectification) for person in tracked),
             events=events,
             timings_ms=job.timings_ms(),
         )
@@ -173,15 +173,17 @@ class CameraSession:
             )
         return timestamp
 
-    def _start_afresh_if_needed(self, shape: tuple[int, ...], timestamp: float) -> None:
+    def _start_afresh_if_needed(self, now: Rectification, timestamp: float) -> None:
         """Drop all tracks if the frame cannot continue the previous ones."""
-        before, self._size = self._size, shape[:2]
+        before, self._rectification = self._rectification, now
         gap = timestamp - self._timestamp
         if before is None:
             return
-        if before != self._size:
-            (height, width), (rows, columns) = before, self._size
+        if before.square != now.square:
+            (height, width), (rows, columns) = before.square, now.square
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
+        elif before.roll_deg != now.roll_deg:
+            reason = f"roll_deg was {before.roll_deg:g} before, it is {now.roll_deg:g} now"
         elif self._frames and gap > _MAX_GAP_S:
             reason = f"no frame came for {gap:.1f} s, more than {_MAX_GAP_S:g} s"
         elif self._frames and gap < 0:
@@ -297,9 +299,10 @@ class CameraSession:
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
         """Predicted box of a person hidden behind another person; None if nobody hides them."""
-        if self._size is None or timestamp - track.seen_at > _PREDICTED_FOR_S:
+        if self._rectification is None or timestamp - track.seen_at > _PREDICTED_FOR_S:
             return None
-        box = track.box_filter.predict(timestamp).clip(self._size[1], self._size[0])
+        height, width = self._rectification.upright
+        box = track.box_filter.predict(timestamp).clip(width, height)
         others = [
             other.box_filter.predict(timestamp)
             for other in self._tracks
@@ -312,9 +315,9 @@ class CameraSession:
     def _vanished(self, track: Track) -> bool:
         """Whether a person found by the detector was last seen away from the border."""
         return (
-            self._size is not None
+            self._rectification is not None
             and track.next_window is not None
-            and not ends_at_border(track.box_filter.seen, self._size)
+            and not ends_at_border(track.box_filter.seen, self._rectification.upright)
         )
 
     def _with_poses(
@@ -337,12 +340,14 @@ class CameraSession:
         return tuple(tracked)
 
 
-def _as_sent(tracked: TrackedPerson, pixels: SquarePixels) -> TrackedPerson:
-    """A tracked person in pixels of the frame as sent."""
+def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPerson:
+    """A tracked person in pixels and axes of the frame as sent."""
     pose = tracked.pose and replace(
-        tracked.pose, points_2d=pixels.points_sent(tracked.pose.points_2d)
+        tracked.pose,
+        points_2d=rectification.points_sent(tracked.pose.points_2d),
+        points_3d=rectification.axes_sent(tracked.pose.points_3d),
     )
-    return replace(pixels.person_sent(tracked), pose=pose)
+    return replace(rectification.person_sent(tracked), pose=pose)
 
 
 def _with_looks(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:

@@ -16,6 +16,7 @@ from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import Event, TrackedFrame
 from app.tracking.zones import Zone
+from app.vision.optics import UNKNOWN_OPTICS, Optics
 
 KEPT_EVENTS = 100
 """Events kept for each camera."""
@@ -66,16 +67,11 @@ class CameraSettings:
     """What a caller says about a camera; optics sent with a frame override these."""
 
     zones: tuple[Zone, ...] = ()
-    fov_deg: float | None = None
-    pixel_aspect: float | None = None
+    optics: Optics = UNKNOWN_OPTICS
 
     def of(self, upload: Upload) -> Upload:
         """Return the upload with missing camera settings filled in from these."""
-        return replace(
-            upload,
-            fov_deg=self.fov_deg if upload.fov_deg is None else upload.fov_deg,
-            pixel_aspect=self.pixel_aspect if upload.pixel_aspect is None else upload.pixel_aspect,
-        )
+        return replace(upload, optics=upload.optics.or_else(self.optics))
 
 
 _NO_SETTINGS = CameraSettings()

@@ -17,6 +17,7 @@ from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
 from app.video.reader import VideoError, VideoFrame, VideoReader
+from app.vision.optics import UNKNOWN_OPTICS, Optics
 from index.posture import PostureName
 from index.search import UnavailableError
 
@@ -51,9 +52,8 @@ class VideoRun:
         As in :meth:`app.scheduling.executor.Executor.run`.
     n, evidence
         As in :meth:`app.camera.CameraSession.process`.
-    fov_deg, pixel_aspect : float or None
-        As in :class:`app.estimation.upload.Upload`; by default, the video's own pixel aspect is
-        used.
+    optics : Optics
+        Of the camera; by default, the video's own pixel aspect is used.
     max_frames : int
         Most frames that are processed.
     timeout_s : float
@@ -71,13 +71,12 @@ class VideoRun:
         evidence: Evidence,
         max_frames: int,
         timeout_s: float,
-        fov_deg: float | None = None,
-        pixel_aspect: float | None = None,
+        optics: Optics = UNKNOWN_OPTICS,
     ) -> None:
         self._session, self._executor = session, executor
         self._caller, self._kind = caller, kind
         self._n, self._evidence = n, evidence
-        self._fov_deg, self._pixel_aspect = fov_deg, pixel_aspect
+        self._optics = optics
         self._max_frames = max_frames
         self._timeout_s = timeout_s
         self._deadline = asyncio.get_running_loop().time() + timeout_s
@@ -142,11 +141,8 @@ class VideoRun:
         """Process a frame once it is its turn, and return its line."""
 
         def work(job: Job) -> tuple[TrackedFrame, bytes]:
-            upload = Upload(
-                frame.pixels,
-                fov_deg=self._fov_deg,
-                pixel_aspect=self._pixel_aspect or frame.pixel_aspect,
-            )
+            own = Optics(pixel_aspect=frame.pixel_aspect)
+            upload = Upload(frame.pixels, optics=self._optics.or_else(own))
             tracked = self._session.process(upload, frame.timestamp, self._n, job, self._evidence)
             if frame.damaged:
                 tracked = replace(tracked, warnings=(*tracked.warnings, "damaged"))

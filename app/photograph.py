@@ -120,9 +120,9 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
     from_left = sorted(people, key=lambda person: person.box.x)
     return Estimate(
         frame=decoded.sent,
-        camera=decoded.camera,
+        camera=decoded.rectification.camera_sent(decoded.camera),
         warnings=decoded.warnings,
-        persons=tuple(job.map(decoded.pixels.person_sent, from_left)),
+        persons=tuple(job.map(decoded.rectification.person_sent, from_left)),
         timings_ms=job.timings_ms(),
     )
 

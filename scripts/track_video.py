@@ -29,6 +29,7 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.video.frames import Frame, UnreadableError, Video
+from app.vision.optics import Optics
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import NATIVE
@@ -114,7 +115,7 @@ def annotated(frames: Iterable[Frame], estimator: Estimator) -> Iterator[tuple[f
     """Follow the people of a video and yield times and frames with what is known of them."""
     session, annotator = CameraSession(estimator), Annotator()
     for frame in frames:
-        upload = Upload(frame.pixels, pixel_aspect=frame.pixel_aspect)
+        upload = Upload(frame.pixels, optics=Optics(pixel_aspect=frame.pixel_aspect))
         tracked = session.process(upload, frame.timestamp, DEFAULT_HYPOTHESES, Job())
         yield frame.timestamp, annotator.draw(tracked)
 

@@ -19,7 +19,7 @@ from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import Zone, is_outside
-from app.vision.optics import PinholeCamera
+from app.vision.optics import Optics, PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, Label, PoseIndex
@@ -395,8 +395,9 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
             for zone in camera.settings.zones
             if session and is_outside(zone.polygon, (session.height, session.width))
         ],
-        fov_deg=camera.settings.fov_deg,
-        pixel_aspect=camera.settings.pixel_aspect,
+        fov_deg=camera.settings.optics.fov_deg,
+        pixel_aspect=camera.settings.optics.pixel_aspect,
+        roll_deg=camera.settings.optics.roll_deg,
         frames=session.frames if session else 0,
         timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
         image=schemas.ImageSize(width=session.width, height=session.height) if session else None,
@@ -417,7 +418,8 @@ def settings_from(configuration: tracking_schemas.CameraConfiguration) -> Camera
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]
-    return CameraSettings(tuple(zones), configuration.fov_deg, configuration.pixel_aspect)
+    optics = Optics(configuration.fov_deg, configuration.pixel_aspect, configuration.roll_deg)
+    return CameraSettings(tuple(zones), optics)
 
 
 def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from app.api.schemas import (
     Point3D,
     PoseResponse,
     Probability,
+    Roll,
 )
 from app.film import VideoEndReason
 from app.messages import expected_name, shortened
@@ -114,6 +115,11 @@ class CameraConfiguration(_Given):
     )
     pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = Field(
         None, description="Width over height of a pixel, for frames that are sent without one."
+    )
+    roll_deg: Annotated[Roll, Field(strict=True)] | None = Field(
+        None,
+        description="Clockwise rotation of the camera about its line of sight, degrees, for frames "
+        "that are sent without one.",
     )
 
     @field_validator("zones")
@@ -279,6 +285,9 @@ class CameraState(Model):
     )
     pixel_aspect: PixelAspect | None = Field(
         description="Width over height of a pixel, as configured. Null if not configured."
+    )
+    roll_deg: Roll | None = Field(
+        description="Rotation of the camera, degrees, as configured. Null if not configured."
     )
     frames: int = Field(
         ge=0,

@@ -104,7 +104,7 @@ class Estimate:
     frame : (H, W, 3) uint8 array
         As sent, BGR; black if the caller sent a mask alone.
     camera : PinholeCamera
-        Camera of the frame with square pixels.
+        Camera of the frame as sent, with square pixels.
     warnings : tuple of str
         Warnings about the frame; see :class:`app.vision.images.Photograph`.
     persons : tuple of Person

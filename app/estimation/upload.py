@@ -1,19 +1,20 @@
-"""Uploads: images, masks and boxes are decoded, validated, and resized to square pixels."""
+"""Uploads: images, masks and boxes are decoded, validated and rectified."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal, TypeVar, cast
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Person
+from app.estimation.results import Person, ProjectedHypothesis
 from app.scheduling.job import Job
-from app.vision.geometry import Box
+from app.vision.geometry import Box, transform_points
 from app.vision.images import (
     ImageError,
     ImageTooLargeError,
@@ -24,8 +25,9 @@ from app.vision.images import (
     decode_image,
     decode_mask,
 )
-from app.vision.optics import PinholeCamera
+from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
 from app.vision.people import Silhouette, silhouette_from_mask
+from index.skeleton import rotate_clockwise, wrap_degrees
 
 Pixels = TypeVar("Pixels", bound=NDArray[Any])
 AnyPerson = TypeVar("AnyPerson", bound=Person)
@@ -83,10 +85,8 @@ class Upload:
         In pixels of the frame.
     track_ids : sequence of str, optional
         The caller's identity of the person in each box.
-    fov_deg : float, optional
-        Horizontal field of view of the camera; assumed if it is not given.
-    pixel_aspect : float, optional
-        Width over height of a pixel; 1 if it is not given.
+    optics : Optics
+        Without them, a field of view is assumed, with square pixels and an upright camera.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -94,8 +94,7 @@ class Upload:
     background: bytes | None = None
     boxes: Sequence[Box] | None = None
     track_ids: Sequence[str] | None = None
-    fov_deg: float | None = None
-    pixel_aspect: float | None = None
+    optics: Optics = UNKNOWN_OPTICS
 
     @property
     def given(self) -> tuple[str, ...]:
@@ -130,22 +129,24 @@ def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> N
 
 @dataclass(frozen=True)
 class DecodedUpload:
-    """Images of one size and with square pixels, and boxes within them.
+    """Images of one size, with square pixels and upright, and boxes within them.
 
     Parameters
     ----------
     sent : (H, W, 3) uint8 array
         The frame as sent, BGR; black if the caller sent a mask alone.
     frame : (H, W, 3) uint8 array
-        The frame with square pixels.
+        The rectified frame.
     has_frame : bool
         Whether the caller sent a frame, or a mask alone.
     background : (H, W, 3) uint8 array or None
         BGR.
     boxes : list of Box or None
         Clipped to the frame.
-    pixels : SquarePixels
-        Conversion from the frame as sent to the one with square pixels.
+    camera : PinholeCamera
+        Of the rectified frame.
+    rectification : Rectification
+        Conversion from the frame as sent to the rectified one.
     warnings : tuple of str
         Of the frame; see :class:`app.vision.images.Photograph`.
     """
@@ -157,7 +158,7 @@ class DecodedUpload:
     background: NDArray[np.uint8] | None
     boxes: list[Box] | None
     camera: PinholeCamera
-    pixels: SquarePixels
+    rectification: Rectification
     warnings: tuple[ImageWarning, ...] = ()
 
 
@@ -196,24 +197,29 @@ class UploadDecoder:
             _check_size("mask", mask.labels, frame)
             self._check_count("mask", len(mask.present))
             _check_together(mask)
-            self._check_area("mask", mask.boxes)
         if background is not None:
             background = background.pixels
             _check_size("background", background, frame)
-        boxes = self._boxes(upload.boxes, frame)
-        pixels = SquarePixels.of_frame(frame.shape, upload.pixel_aspect or 1.0)
-        self._check_square(pixels)
-        if mask is not None and pixels.changes:
-            mask = LabelImage.of(pixels.resize(mask.labels, cv2.INTER_NEAREST))
+        rectification = Rectification.of_frame(frame.shape, upload.optics)
+        self._check_rectified(rectification)
+        boxes = None
+        if upload.boxes is not None:
+            boxes = rectification.boxes(self._clipped(upload.boxes, frame))
+            self._check_area("boxes", boxes)
+        if mask is not None:
+            if rectification.changes:
+                mask = LabelImage.of(rectification.rectify(mask.labels, cv2.INTER_NEAREST))
+            self._check_area("mask", mask.boxes)
+        camera = PinholeCamera.of_frame(rectification.square, upload.optics.fov_deg)
         return DecodedUpload(
             sent=frame,
-            frame=pixels.resize(frame),
+            frame=rectification.rectify(frame),
             has_frame=upload.frame is not None,
             mask=mask,
-            background=None if background is None else pixels.resize(background),
-            boxes=None if boxes is None else pixels.boxes(boxes),
-            camera=PinholeCamera.of_frame(pixels.square, upload.fov_deg),
-            pixels=pixels,
+            background=None if background is None else rectification.rectify(background),
+            boxes=boxes,
+            camera=camera.centred(rectification.upright),
+            rectification=rectification,
             warnings=photograph.warnings,
         )
 
@@ -225,23 +231,19 @@ class UploadDecoder:
         except ImageError as error:
             raise UploadError(name, "undecodable", f"{name}: {error}") from error
 
-    def _check_square(self, pixels: SquarePixels) -> None:
-        height, width = pixels.square
-        if pixels.changes and width * height > self.max_pixels:
+    def _check_rectified(self, rectification: Rectification) -> None:
+        height, width = rectification.upright
+        if rectification.changes and width * height > self.max_pixels:
             raise UploadError(
                 "frame",
                 "too_large",
-                f"frame: expected at most {self.max_pixels} pixels once they are square, "
-                f"got {width}x{height}",
+                f"frame: expected at most {self.max_pixels} pixels once they are square and "
+                f"upright, got {width}x{height}",
             )
 
-    def _boxes(self, boxes: Sequence[Box] | None, frame: NDArray[np.uint8]) -> list[Box] | None:
-        if boxes is None:
-            return None
+    def _clipped(self, boxes: Sequence[Box], frame: NDArray[np.uint8]) -> list[Box]:
         self._check_count("boxes", len(boxes))
-        inside = [_clip(box, frame, position) for position, box in enumerate(boxes)]
-        self._check_area("boxes", inside)
-        return inside
+        return [_clip(box, frame, position) for position, box in enumerate(boxes)]
 
     def _check_count(self, name: str, count: int) -> None:
         if count > self.max_persons:
@@ -321,79 +323,127 @@ def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
 
 
 @dataclass(frozen=True)
-class SquarePixels:
-    """Height and width of a frame as sent, and as it was resized so that its pixels are square."""
+class Rectification:
+    """How a frame was rectified: its pixels made square, then the camera's roll undone.
+
+    Height and width of the frame as sent, with square pixels, and turned clockwise by ``roll_deg``,
+    which is from 0 to below 360.
+    """
 
     sent: tuple[int, int]
     square: tuple[int, int]
+    upright: tuple[int, int]
+    roll_deg: float
 
     @classmethod
-    def of_frame(cls, frame_shape: tuple[int, ...], pixel_aspect: float) -> SquarePixels:
-        """Widen or heighten a frame with pixels of this aspect ratio, so that no detail is lost.
+    def of_frame(cls, frame_shape: tuple[int, ...], optics: Optics) -> Rectification:
+        """Widen or heighten a frame, so that no detail is lost, and turn all of it upright.
 
         Examples
         --------
-        >>> SquarePixels.of_frame((1080, 960), 2.0).square
-        (1080, 1920)
+        >>> Rectification.of_frame((1080, 960), Optics(pixel_aspect=2.0, roll_deg=90)).upright
+        (1920, 1080)
         """
         height, width = frame_shape[:2]
-        square = (
-            round(height * max(1.0, 1 / pixel_aspect)),
-            round(width * max(1.0, pixel_aspect)),
-        )
-        return cls((height, width), square)
+        aspect, roll_deg = optics.pixel_aspect or 1.0, (optics.roll_deg or 0.0) % 360
+        square = round(height * max(1.0, 1 / aspect)), round(width * max(1.0, aspect))
+        upright = square if roll_deg % 180 == 0 else square[::-1]
+        if roll_deg % 90:
+            turn = np.abs(_rotation(roll_deg))
+            across, down = np.ceil(turn @ square[::-1]).astype(int).tolist()
+            upright = down, across
+        return cls((height, width), square, upright, roll_deg)
 
     @property
     def changes(self) -> bool:
-        """Whether the frame has to be resized at all."""
-        return self.sent != self.square
+        """Whether the frame is not rectified as it was sent."""
+        return self.sent != self.square or self.roll_deg != 0
 
-    @property
-    def scale(self) -> NDArray[np.float64]:
-        """Square pixels ``(2,)`` across and down for each pixel as sent."""
-        return np.asarray(np.array(self.square[::-1]) / np.array(self.sent[::-1]))
-
-    def resize(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:
-        """Resize an image ``(H, W, ...)`` to square pixels."""
+    def rectify(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:
+        """Rectify an image ``(H, W, ...)``; what lies beyond it is 0."""
         if not self.changes:
             return image
+        if self.roll_deg % 90:
+            size = self.upright[::-1]
+            turned = cv2.warpAffine(image, self._matrix, size, flags=interpolation)
+            return cast(Pixels, turned)
         resized = cv2.resize(image, self.square[::-1], interpolation=interpolation)
-        return cast(Pixels, resized)
+        return cast(Pixels, _turned(resized, self.roll_deg))
 
     def points(self, sent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` of the frame as sent, in square pixels."""
-        return np.asarray((sent + 0.5) * self.scale - 0.5) if self.changes else sent
+        """Points ``(..., 2)`` of the frame as sent, in the rectified one."""
+        return transform_points(self._matrix, sent) if self.changes else sent
 
-    def points_sent(self, square: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` in square pixels, in pixels of the frame as sent."""
-        return np.asarray((square + 0.5) / self.scale - 0.5) if self.changes else square
+    def points_sent(self, rectified: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Points ``(..., 2)`` of the rectified frame, in the one that was sent."""
+        return transform_points(self._matrix_sent, rectified) if self.changes else rectified
+
+    def axes_sent(self, rectified: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Vectors ``(..., 3)`` in axes of the upright camera, in those of the real one."""
+        return rotate_clockwise(rectified, -self.roll_deg) if self.roll_deg else rectified
 
     def boxes(self, sent: Sequence[Box]) -> list[Box]:
-        """Boxes of the frame as sent, in square pixels."""
-        return [_between(*self.points(_corners(box))) for box in sent] if self.changes else [*sent]
+        """Boxes of the frame as sent, in the rectified one."""
+        return [_about(self.points(_corners(box))) for box in sent] if self.changes else [*sent]
+
+    def camera_sent(self, camera: PinholeCamera) -> PinholeCamera:
+        """The camera of the rectified frame, before it was turned upright."""
+        return camera.centred(self.square)
 
     def person_sent(self, person: AnyPerson) -> AnyPerson:
-        """A person found in square pixels, in pixels of the frame as sent, for answers only.
+        """A person of the rectified frame, in pixels and axes of the one that was sent.
 
-        The window for the next frame stays in square pixels, since it is read in them.
+        For answers only: the window for the next frame is not changed, since it is read in the
+        rectified frame. Where the frame is turned by an angle that is no multiple of 90 degrees,
+        the box is the silhouette's.
         """
         if not self.changes:
             return person
         landmarks = person.landmarks and replace(
-            person.landmarks, positions=self.points_sent(person.landmarks.positions)
+            person.landmarks,
+            positions=self.points_sent(person.landmarks.positions),
+            metres=self.axes_sent(person.landmarks.metres),
         )
         silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
-        box = _between(*self.points_sent(_corners(person.box)))
-        hypotheses = tuple(
-            replace(one, points_2d=self.points_sent(one.points_2d)) for one in person.hypotheses
-        )
+        box = _about(self.points_sent(_corners(person.box)))
+        if silhouette and self.roll_deg % 90:
+            box = silhouette.box
+        hypotheses = tuple(self._hypothesis_sent(one) for one in person.hypotheses)
         return replace(
             person, box=box, silhouette=silhouette, landmarks=landmarks, hypotheses=hypotheses
         )
 
+    @cached_property
+    def _matrix(self) -> NDArray[np.float64]:
+        """Affine transform ``(2, 3)`` from the frame as sent to the rectified one."""
+        sent, square, upright = (np.array(s[::-1]) for s in (self.sent, self.square, self.upright))
+        linear = _rotation(self.roll_deg) * (square / sent)
+        return np.column_stack([linear, (upright - 1) / 2 - linear @ ((sent - 1) / 2)])
+
+    @cached_property
+    def _matrix_sent(self) -> NDArray[np.float64]:
+        return np.asarray(cv2.invertAffineTransform(self._matrix), np.float64)
+
+    def _hypothesis_sent(self, hypothesis: ProjectedHypothesis) -> ProjectedHypothesis:
+        label = hypothesis.label
+        if self.roll_deg:
+            label = replace(label, roll_deg=float(wrap_degrees(label.roll_deg - self.roll_deg)))
+        return replace(
+            hypothesis,
+            label=label,
+            points_2d=self.points_sent(hypothesis.points_2d),
+            points_3d=self.axes_sent(hypothesis.points_3d),
+            pelvis=self.axes_sent(hypothesis.pelvis),
+        )
+
     def _silhouette_sent(self, silhouette: Silhouette) -> Silhouette | None:
-        mask = silhouette.mask(self.square).view(np.uint8)
-        sent = cv2.resize(mask, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
+        mask = silhouette.mask(self.upright).view(np.uint8)
+        if self.roll_deg % 90:
+            flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+            sent = cv2.warpAffine(mask, self._matrix, self.sent[::-1], flags=flags) > 0
+        else:
+            turned = _turned(mask, -self.roll_deg)
+            sent = cv2.resize(turned, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
         if not sent.any():
             # The silhouette is narrower than a pixel of the frame as sent.
             column, row = self.points_sent(silhouette.centroid).round().astype(int).tolist()
@@ -403,9 +453,24 @@ class SquarePixels:
         )
 
 
+def _rotation(roll_deg: float) -> NDArray[np.float64]:
+    """Rotation ``(2, 2)`` of a picture, clockwise."""
+    cosine, sine = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
+    return np.array([[cosine, -sine], [sine, cosine]])
+
+
+_QUARTERS = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
+
+
+def _turned(image: NDArray[Any], roll_deg: float) -> NDArray[Any]:
+    """Turn an image ``(H, W, ...)`` clockwise by a multiple of 90 degrees."""
+    quarters = roll_deg % 360
+    return cv2.rotate(image, _QUARTERS[int(quarters)]) if quarters else image
+
+
 def _corners(box: Box) -> NDArray[np.float64]:
-    return np.array([[box.x, box.y], [box.right, box.bottom]])
+    return np.array([[x, y] for x in (box.x, box.right) for y in (box.y, box.bottom)])
 
 
-def _between(first: NDArray[np.float64], last: NDArray[np.float64]) -> Box:
-    return Box.from_edges(*first.tolist(), *last.tolist())
+def _about(points: NDArray[np.float64]) -> Box:
+    return Box.from_edges(*points.min(axis=0).tolist(), *points.max(axis=0).tolist())

@@ -17,6 +17,7 @@ from app.api.schemas import (
     KeypointSetName,
     ObservedSetName,
     PixelAspect,
+    Roll,
     SilhouetteForm,
 )
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
@@ -24,6 +25,7 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import ProblemError
 from app.messages import NUMBER, WHOLE_NUMBER, expected_name
+from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
@@ -116,10 +118,16 @@ class _CameraQuery(_Query):
 
     fov_deg: Annotated[FieldOfView | None, NUMBER] = None
     pixel_aspect: Annotated[PixelAspect | None, NUMBER] = None
+    roll_deg: Annotated[Roll | None, NUMBER] = None
+
+    @property
+    def optics(self) -> Optics:
+        """The optics of the camera."""
+        return Optics(self.fov_deg, self.pixel_aspect, self.roll_deg)
 
     def of(self, upload: Upload) -> Upload:
-        """Return the upload with the camera settings of the query."""
-        return replace(upload, fov_deg=self.fov_deg, pixel_aspect=self.pixel_aspect)
+        """Return the upload with the optics of the query."""
+        return replace(upload, optics=self.optics)
 
 
 class OverlayQuery(_CameraQuery):

@@ -150,8 +150,7 @@ async def analyse_sequence(
         kind=PATH,
         n=query.n,
         evidence=query.evidence,
-        fov_deg=query.fov_deg,
-        pixel_aspect=query.pixel_aspect,
+        optics=query.optics,
         max_frames=query.max_frames or most,
         timeout_s=runtime.settings.sequence_timeout_s,
     )

@@ -7,7 +7,7 @@ window's middle, up to the window's roll.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,31 @@ ASSUMED_FOV_DEG = 60.0
 
 NEAREST_M = 0.3
 """Least distance from the camera at which a person is placed."""
+
+
+@dataclass(frozen=True)
+class Optics:
+    """What a caller says about a camera; None where nothing is said.
+
+    It is the horizontal field of view of the frame as sent, the width over the height of a pixel,
+    and the camera's clockwise rotation about its line of sight.
+    """
+
+    fov_deg: float | None = None
+    pixel_aspect: float | None = None
+    roll_deg: float | None = None
+
+    def or_else(self, other: Optics) -> Optics:
+        """The same, with what is missing filled in from another."""
+        return Optics(
+            *(
+                theirs if own is None else own
+                for own, theirs in zip(vars(self).values(), vars(other).values(), strict=True)
+            )
+        )
+
+
+UNKNOWN_OPTICS = Optics()
 
 
 @dataclass(frozen=True)
@@ -76,6 +101,11 @@ class PinholeCamera:
         focal = side / 2 / np.tan(np.deg2rad(angle) / 2)
         centre = np.array([width - 1, height - 1]) / 2
         return cls(np.array([focal, focal]), centre, given=fov_deg is not None)
+
+    def centred(self, frame_shape: tuple[int, ...]) -> PinholeCamera:
+        """The same camera with its axis through the middle of another frame."""
+        height, width = frame_shape[:2]
+        return replace(self, centre=np.array([width - 1, height - 1]) / 2)
 
     @property
     def fov_deg(self) -> float:

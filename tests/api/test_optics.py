@@ -1,4 +1,4 @@
-"""The field of view and the pixel aspect of a camera, over HTTP."""
+"""Field of view, pixel aspect and roll of a camera, over HTTP."""
 
 from __future__ import annotations
 
@@ -48,13 +48,54 @@ def test_a_squeezed_picture_answers_like_the_unsqueezed_one(
     assert person["silhouette"]["area_px"] == pytest.approx(photo.mask.sum() / 2, rel=0.1)
 
 
+@pytest.mark.parametrize("roll_deg", [90, -90, 180, 20])
+def test_a_turned_camera_answers_like_an_upright_one(
+    client: TestClient, photo: Photo, roll_deg: float
+) -> None:
+    """Positions and axes turn with the frame; what is said of the person stays."""
+    height, width = photo.mask.shape
+    side = max(height, width) + 100
+    square = np.zeros((side, side), np.uint8)
+    square[50 : 50 + height, 50 : 50 + width] = photo.mask
+    middle = (side - 1) / 2
+    turn = cv2.getRotationMatrix2D((middle, middle), roll_deg, 1.0)
+    turned = cv2.warpAffine(square, turn, (side, side), flags=cv2.INTER_NEAREST)
+    asked = {"fov_deg": 70, "silhouettes": "rle", "observed": "blazepose33"}
+    upright = ask(client, {"mask": png(square)}, **asked)
+    rolled = ask(client, {"mask": png(turned)}, roll_deg=roll_deg, **asked)
+    assert rolled["image"] == upright["image"]
+    places = joints(upright, "joints_2d") @ turn[:, :2].T + turn[:, 2]
+    exact = roll_deg % 90 == 0
+    assert np.abs(joints(rolled, "joints_2d") - places).mean() < (0.1 if exact else 3)
+    angle = -np.deg2rad(roll_deg)
+    across, down, ahead = joints(upright).T
+    expected = [
+        np.cos(angle) * across - np.sin(angle) * down,
+        np.sin(angle) * across + np.cos(angle) * down,
+        ahead,
+    ]
+    assert np.abs(joints(rolled).T - expected).mean() < (1e-3 if exact else 0.05)
+    (left, top, columns, rows), box = cv2.boundingRect(turned), rolled["persons"][0]["box"]
+    there = [left - 0.5, top - 0.5, columns, rows]
+    assert list(box.values()) == pytest.approx(there, abs=0.1 if exact else 2)
+    assert rolled["persons"][0]["silhouette"]["area_px"] == pytest.approx(
+        upright["persons"][0]["silhouette"]["area_px"], rel=1e-9 if exact else 0.05
+    )
+    if exact:
+        person, other = rolled["persons"][0], upright["persons"][0]
+        assert person["posture"] == other["posture"]
+        rolls = [one["hypotheses"][0]["camera"]["roll_deg"] for one in (person, other)]
+        assert (rolls[1] - rolls[0] - roll_deg + 1) % 360 == pytest.approx(1, abs=0.02)
+
+
 def test_a_frame_wins_over_its_camera(client: TestClient, photo: Photo) -> None:
-    configuration = {"zones": [], "fov_deg": 100, "pixel_aspect": 2}
+    configuration = {"zones": [], "fov_deg": 100, "pixel_aspect": 2, "roll_deg": 90}
     state = client.put("/cameras/lens", json=configuration)
     shown = CameraState.model_validate_json(state.content)
-    assert (shown.fov_deg, shown.pixel_aspect) == (100, 2)
+    assert (shown.fov_deg, shown.pixel_aspect, shown.roll_deg) == (100, 2, 90)
     path, files = "/cameras/lens/frames", {"mask": photo.mask_png}
     assert ask(client, files, path, pixel_aspect=1)["image"]["fov_deg"] == 100
-    own = ask(client, files, path, pixel_aspect=1, fov_deg=50)
+    own = ask(client, files, path, pixel_aspect=1, fov_deg=50, roll_deg=0)
     assert own["image"]["fov_deg"] == 50
+    assert own["reset"] == "roll_deg was 90 before, it is 0 now"
     assert client.delete("/cameras/lens").status_code == 204

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.camera import CameraSession
 from app.estimation.results import Person
-from app.estimation.upload import Upload, UploadError
+from app.estimation.upload import Rectification, Upload, UploadError
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
 from app.vision.blazepose import MaskNetwork, PoseReading
 from app.vision.geometry import Box
+from app.vision.optics import Optics
 from app.vision.people import Landmarks
 from app.vision.person_reader import PersonReader
 from index.posture import LOW
@@ -244,3 +246,39 @@ def test_whole_person_is_not_flagged(estimator: Estimator, street: NDArray[np.ui
         left, top, right, bottom = WALKER.pixels()
         loose = np.ascontiguousarray(street[top - room : bottom + room, left - room : right + room])
         assert flags(estimator, loose, Box(room - 0.5, room - 0.5, 40, 105)) == (False, False)
+
+
+@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
+def test_a_turned_camera_sees_the_people_of_an_upright_one(
+    estimator: Estimator, street: NDArray[np.uint8], quarter_turns: int
+) -> None:
+    """A camera that was rotated clockwise turns its picture counterclockwise."""
+    turned = np.rot90(street, quarter_turns).copy()
+    upright = persons(estimator, Upload(street))
+    rolled = persons(estimator, Upload(turned, optics=Optics(roll_deg=90 * quarter_turns)))
+    boxes = [rotate_box(one.box, street.shape, quarter_turns) for one in upright]
+    assert len(rolled) == len(boxes) >= 2
+    for person in rolled:
+        nearest = max(range(len(boxes)), key=lambda i: boxes[i].iou(person.box))
+        same = upright[nearest]
+        assert vars(person.box) == pytest.approx(vars(boxes[nearest]), abs=1e-6)
+        assert person.posture and same.posture and person.posture.label == same.posture.label
+        there = rotate_points(landmarks_of(same).positions, street.shape, quarter_turns)
+        assert landmarks_of(person).positions == pytest.approx(there, abs=1e-6)
+        mask = np.rot90(mask_of(same, street.shape), quarter_turns)
+        assert (mask_of(person, turned.shape) == mask).all()
+
+
+@pytest.mark.parametrize("roll_deg", [90.0, 35.0])
+def test_people_before_a_turned_camera_stand(
+    estimator: Estimator, street: NDArray[np.uint8], roll_deg: float
+) -> None:
+    upright = Rectification.of_frame(street.shape, Optics(roll_deg=-roll_deg))
+    turned = upright.rectify(street)
+    session = CameraSession(estimator)
+    for step in range(4):
+        upload = Upload(turned, optics=Optics(roll_deg=roll_deg))
+        seen = session.process(upload, step / 5, 5, Job())
+        assert {event.event for event in seen.events} <= {"entered"}
+    assert len(seen.persons) >= 2
+    assert all(one.posture and one.posture.label not in LOW for one in seen.persons)

@@ -6,12 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimation.upload import Upload, UploadDecoder, UploadError
+from app.estimation.upload import Rectification, Upload, UploadDecoder, UploadError
 from app.scheduling.job import Job
 from app.vision.geometry import Box
+from app.vision.optics import Optics, PinholeCamera
 from tests.conftest import png
 
 DECODER = UploadDecoder(max_pixels=40_000, max_persons=2)
@@ -114,3 +117,64 @@ def test_people_may_cover_the_largest_frame_four_times() -> None:
 def test_people_apart_may_have_labels_of_their_own() -> None:
     decoded = DECODER.decode(Upload(mask=mask_of(*TALL, labels=True)), Job())
     assert decoded.mask is not None and len(decoded.mask.present) == 2
+
+
+SIDES = st.integers(1, 2000)
+OPTICS = st.builds(
+    Optics,
+    pixel_aspect=st.none() | st.floats(0.25, 4),
+    roll_deg=st.none() | st.sampled_from((-90.0, 90.0, 180.0, 270.0, 360.0)) | st.floats(-360, 360),
+)
+
+
+@given(SIDES, SIDES, OPTICS)
+def test_points_of_a_frame_lie_within_the_rectified_one_and_lead_back(
+    height: int, width: int, optics: Optics
+) -> None:
+    rectification = Rectification.of_frame((height, width), optics)
+    corners = np.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
+    rectified = rectification.points(corners)
+    low, high = np.array([-0.5, -0.5]), np.array(rectification.upright[::-1]) - 0.5
+    assert (rectified > low - 1e-6).all() and (rectified < high + 1e-6).all()
+    # A side is rounded to whole pixels, so at most half of one is lost at either end.
+    assert rectified.min(axis=0) == pytest.approx(low, abs=0.51)
+    assert rectified.max(axis=0) == pytest.approx(high, abs=0.51)
+    assert rectification.points_sent(rectified) == pytest.approx(corners, abs=1e-6)
+
+
+@given(OPTICS)
+def test_vectors_turn_with_the_points_that_they_project_to(optics: Optics) -> None:
+    rectification = Rectification.of_frame((300, 400), optics)
+    sent = PinholeCamera.of_frame(rectification.square, 70)
+    vectors = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.0], [0.0, 0.0, 3.0]])
+    seen = rectification.points_sent(sent.centred(rectification.upright).project(vectors))
+    scale = np.array(rectification.sent[::-1]) / rectification.square[::-1]
+    places = (sent.project(rectification.axes_sent(vectors)) + 0.5) * scale - 0.5
+    assert places == pytest.approx(seen, abs=1e-6)
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4])
+def test_quarter_turns_are_exact(quarters: int) -> None:
+    picture, box = frame(), Box(9.5, 19.5, 30, 50)
+    labels = np.zeros(picture.shape[:2], np.uint8)
+    labels[20:70, 10:40] = 1
+    optics = Optics(roll_deg=-90 * quarters)
+    decoded = DECODER.decode(Upload(picture, boxes=[box], optics=optics), Job())
+    assert_array_equal(decoded.frame, np.rot90(picture, quarters))
+    assert_array_equal(decoded.sent, picture)
+    mask = DECODER.decode(Upload(mask=png(labels), optics=optics), Job()).mask
+    assert mask is not None and decoded.boxes is not None
+    assert_array_equal(mask.labels, np.rot90(labels, quarters))
+    assert vars(decoded.boxes[0]) == pytest.approx(vars(mask.boxes[0]))
+
+
+def test_turning_stays_within_the_largest_frame() -> None:
+    """A turned strip needs many times its pixels; boxes grow alike."""
+    with pytest.raises(UploadError, match="square and upright, got 1422x1422") as error:
+        DECODER.decode(Upload(frame(20, 1990), optics=Optics(roll_deg=45)), Job())
+    assert (error.value.field, error.value.reason) == ("frame", "too_large")
+    boxes = [Box(-0.5, 60, 160, 0.1)] * 15
+    many = UploadDecoder(max_pixels=40_000, max_persons=15)
+    upload = Upload(frame(), boxes=boxes, optics=Optics(roll_deg=45))
+    with pytest.raises(UploadError, match="boxes: expected people whose boxes"):
+        many.decode(upload, Job())
