@@ -1,7 +1,5 @@
 """One entry for all commands: ``python -m scripts COMMAND [arguments]``."""
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os

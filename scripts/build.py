@@ -1,7 +1,5 @@
 """Build an index from motion capture: ``make index``, on this machine or a Dask cluster."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack

@@ -16,8 +16,6 @@ MediaPipe's pose detector is taken as it is. Its landmark network is cut in two:
 and world coordinates, and the mask, which not every reading needs. Its heatmaps are dropped.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

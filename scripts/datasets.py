@@ -1,7 +1,5 @@
 """The photographs and videos of ``../shared/real``, read into arrays with what is known of them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ landmarks (bright where visible), the silhouette, and normalised; below, for eac
 silhouette of its entry and its skeleton on the photograph. Prints what was decided on the way.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

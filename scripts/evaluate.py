@@ -12,8 +12,6 @@
 Without a name, all of them run.
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import time

@@ -18,8 +18,6 @@ A template is text with format strings:
 - ``{confusion}`` stands for tables of the postures or actions that were taken for others.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import re

@@ -1,7 +1,5 @@
 """Film motion clips with a fixed camera: the people of the experiments on tracks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

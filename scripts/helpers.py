@@ -1,7 +1,5 @@
 """What experiments, training, pictures and other commands share."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path

@@ -4,8 +4,6 @@ Average precision counts every detection that overlaps no *labelled* person by h
 Penn-Fudan leaves some visible people unlabelled, so the figures are on the low side.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Write ``openapi.json``, the committed contract that clients are generated from."""
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ People are chosen evenly, never by how well they came out. The screenshots need 
 OpenCV ships (Apache-2.0), and the seconds after it as a video, which may be passed on.
 """
 
-from __future__ import annotations
-
 import argparse
 import io
 import shutil

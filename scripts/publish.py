@@ -3,8 +3,6 @@
 python -m scripts publish http://milvus:19530 --index /srv/artefacts/large
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

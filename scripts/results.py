@@ -1,7 +1,5 @@
 """What every measurement states beside its figures: revision and machine."""
 
-from __future__ import annotations
-
 import platform
 import subprocess
 from collections.abc import Sequence

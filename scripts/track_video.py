@@ -6,8 +6,6 @@ The video is H.264, which players and browsers show. A service answers the same 
 ``POST /sequence``.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """A tiny index of drawn stick figures, an application over it and a server process."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

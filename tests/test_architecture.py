@@ -1,7 +1,5 @@
 """``docs/architecture.md`` names what there is, and imports lead only downward."""
 
-from __future__ import annotations
-
 import ast
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The files that others run the service with fit it, as far as can be told without them."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Every curl command of README.md and docs/api.md does what it says, against a live server."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -5,8 +5,6 @@ of ``python -m scripts evaluate people``, on fewer photographs. Each floor lies 
 below what was measured when it was set.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

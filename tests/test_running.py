@@ -1,7 +1,5 @@
 """``docs/running.md`` says what the service does."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

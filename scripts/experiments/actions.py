@@ -1,7 +1,5 @@
 """The actions experiment: actions, postures and falls of subjects unknown to index and model."""
 
-from __future__ import annotations
-
 import argparse
 from collections import Counter
 from collections.abc import Sequence

@@ -4,8 +4,6 @@ Whole films are sent as a caller would send them, and no frame is held at the en
 not show, its session does not see.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Noise on the outline of a silhouette, as the paper disturbs its queries."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -5,8 +5,6 @@ Silhouettes are answered by the nearest entries, as in the paper, and as the ser
 poses, each interpolated to the query.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 

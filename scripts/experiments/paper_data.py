@@ -6,8 +6,6 @@ and the others are known, for all avatars and cameras alike: 19 frames x 4 avata
 608 unseen silhouettes, 92 x 4 x 8, evenly thinned, 2,925 known ones.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

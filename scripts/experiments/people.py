@@ -5,8 +5,6 @@ photographs, the sports photographs (detection and confidence alone) and the str
 (detection, ground) were learned from; UP-Fall, the fall videos and Pose2Sim were not.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 from collections import Counter

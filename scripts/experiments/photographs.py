@@ -4,8 +4,6 @@ Every real frame is a test: nothing is chosen on them. Each is read as the servi
 largest person counts. ``--models FILE`` asks other models than those that ship.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

@@ -6,8 +6,6 @@ The references of poses are MediaPipe's (street people) and a multi-view triangu
 (``pose2sim``): something to compare with, not ground truth.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """People found in street photographs by the detector and by parts of it, cross-validated."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 

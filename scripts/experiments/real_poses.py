@@ -1,7 +1,5 @@
 """Silhouettes and poses of real people, compared with their references."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

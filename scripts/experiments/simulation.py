@@ -7,8 +7,6 @@ spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, ea
 view of the hemisphere: upright motion, clips near the ground, and both laid down.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping
 from dataclasses import replace

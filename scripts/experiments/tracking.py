@@ -6,8 +6,6 @@ smooth pose of the frames so far. Parameters were chosen, and the confidence fit
 (``--fit-tracks``), on other clips and bodies, with an index without them and without the network.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace

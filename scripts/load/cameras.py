@@ -4,8 +4,6 @@ Each camera sends the newest frame as soon as the last is answered, as ``watch-c
 that have become older than the next are dropped. Cameras are added until one drops a frame.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -9,8 +9,6 @@ References
    NSDI 2006.
 """
 
-from __future__ import annotations
-
 import select
 import threading
 import time

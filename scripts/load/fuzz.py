@@ -1,7 +1,5 @@
 """Upload mutated images to a server, which must neither crash, hang nor leak memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import partial
 

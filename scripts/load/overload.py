@@ -6,8 +6,6 @@ another process asks ``/healthz`` every few milliseconds, each time over a new c
 an orchestrator does.
 """
 
-from __future__ import annotations
-
 import itertools
 import os
 import re

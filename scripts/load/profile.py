@@ -4,8 +4,6 @@ The frames are processed in this process, so that the processor time of a stage 
 threads. ``idle`` is the share of the cores that a frame leaves unused while it is processed.
 """
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

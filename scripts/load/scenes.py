@@ -1,7 +1,5 @@
 """Drawn photographs to measure with: no picture of a real person is needed, or shipped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

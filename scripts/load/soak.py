@@ -4,8 +4,6 @@ Fails where a request is answered with a 5xx other than 503, where resident memo
 is more than 5 % above that after warm-up, or where good requests have become slower.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter

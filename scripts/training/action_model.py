@@ -1,7 +1,5 @@
 """Learn the actions of tracks from motion clips, shown as cameras and hypotheses would see them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

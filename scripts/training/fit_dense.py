@@ -1,7 +1,5 @@
 """Small fully connected networks, trained by PyTorch on one core."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ photographs (Penn-Fudan), frames of the street video, and sports photographs (LS
 Pose2Sim, UP-Fall, the falls and the homes are not used, so that they remain a test.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The index and network of experiments, which know no held-out clip."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -6,8 +6,6 @@ seven shows nobody. The same bytes come out for the same seed; files that are th
 again. ``--sheet FILE`` draws a contact sheet to look at instead.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Sequence
 from functools import partial

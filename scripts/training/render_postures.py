@@ -6,8 +6,6 @@ covered as well. Writes ``rows-NNNN.npz``, 500 photographs each: what shows the 
 seed; files that are there are not made again.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self

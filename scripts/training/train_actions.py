@@ -5,8 +5,6 @@ as tracks of hypotheses. That takes ten minutes on two cores. ``evaluate actions
 it recognises the actions of unseen subjects.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Sequence

@@ -5,8 +5,6 @@ is chosen and calibrated on one half of the held-out renders and reported on the
 photograph takes part.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

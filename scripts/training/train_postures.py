@@ -5,8 +5,6 @@ chosen and calibrated on one half of the held-out renders and reported on the ot
 photograph takes part.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

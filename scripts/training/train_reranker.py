@@ -5,8 +5,6 @@ kept from it, so that ``evaluate simulation`` measures the network that ships. T
 an hour on one core.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

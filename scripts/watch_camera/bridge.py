@@ -1,7 +1,5 @@
 """Frames of a camera to a service, its events to an outbox, its people to Home Assistant."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import threading

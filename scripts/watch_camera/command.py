@@ -10,8 +10,6 @@ program, until it is taken. A receiver that gets an event twice, because an ackn
 lost, recognises it by its ``id``. Everything else is printed to standard error.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import math

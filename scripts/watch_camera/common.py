@@ -1,7 +1,5 @@
 """What the parts of the bridge share: log lines, faults that last, and HTTP."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import http.client

@@ -6,8 +6,6 @@ retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without a
 :data:`FELL_SHOWN_S` after a fall, and its ``time``). People and zones are None while offline.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import threading

@@ -1,7 +1,5 @@
 """Events that wait until each receiver has taken them, in memory and in a file."""
 
-from __future__ import annotations
-
 import json
 import sqlite3
 import threading

@@ -1,7 +1,5 @@
 """The people before a camera and in each of its zones, derived from events."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

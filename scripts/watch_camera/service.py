@@ -1,7 +1,5 @@
 """A camera session of a service, over HTTP."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 from urllib.parse import SplitResult, urlencode

@@ -1,7 +1,5 @@
 """The newest frame of a file, a device or a stream."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Events as JSON to a URL."""
 
-from __future__ import annotations
-
 import json
 from urllib.parse import SplitResult
 

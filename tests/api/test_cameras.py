@@ -1,7 +1,5 @@
 """Frames of cameras over HTTP: order, state, callers, limits."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Cross-origin requests: only from origins that are allowed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

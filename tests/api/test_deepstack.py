@@ -1,7 +1,5 @@
 """DeepStack's protocol."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -4,8 +4,6 @@ What makes an image, mask or video unusable is tested beside its decoder, and wh
 golden answers.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from typing import Any

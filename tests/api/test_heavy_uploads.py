@@ -1,7 +1,5 @@
 """Uploads of a few hundred kilobytes that would take gigabytes or minutes are refused."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """HTTP behaviour that all routes share."""
 
-from __future__ import annotations
-
 import gzip
 import json
 

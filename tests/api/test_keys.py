@@ -1,7 +1,5 @@
 """API keys: what opens, what does not, and what needs none."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

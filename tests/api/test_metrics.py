@@ -1,7 +1,5 @@
 """Metrics: what is counted, under which names."""
 
-from __future__ import annotations
-
 import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr

@@ -1,7 +1,5 @@
 """The document clients are generated from."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

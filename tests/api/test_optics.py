@@ -1,7 +1,5 @@
 """Field of view, pixel aspect and roll of a camera, over HTTP."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

@@ -1,7 +1,5 @@
 """POST /pose and its pictures, over the tiny index of stick figures."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Any input gets an answer that keeps the contract, or a problem; never a 5xx."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

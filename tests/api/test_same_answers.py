@@ -1,7 +1,5 @@
 """Equal requests have equal answers; mirrored or rotated frames have such answers."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Videos over HTTP: a line for each frame, and a last line that says why it is the last."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import AsyncIterator, Iterator

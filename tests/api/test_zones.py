@@ -1,7 +1,5 @@
 """Zones of a camera over HTTP, and the file that configures cameras."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Drawn people, whom a detector and a reader find by their colour, and sessions that see them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

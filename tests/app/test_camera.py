@@ -1,7 +1,5 @@
 """Camera sessions, on drawn people whom a detector finds by their colour."""
 
-from __future__ import annotations
-
 import contextlib
 import sys
 from collections import deque

@@ -1,7 +1,5 @@
 """Camera sessions: begun, kept, and ended by their limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import cast
 

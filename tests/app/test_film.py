@@ -1,7 +1,5 @@
 """The frames of a video, why they end, and their summary."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Iterator
 from types import SimpleNamespace

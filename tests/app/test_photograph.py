@@ -1,7 +1,5 @@
 """The estimator, with real networks on a real photograph."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

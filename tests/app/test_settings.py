@@ -1,7 +1,5 @@
 """A setting that makes no sense ends the start with one sentence that names it."""
 
-from __future__ import annotations
-
 import socket
 import sys
 

@@ -1,7 +1,5 @@
 """Two service processes behind HAProxy with ``deploy/haproxy.cfg``."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

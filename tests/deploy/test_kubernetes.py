@@ -1,7 +1,5 @@
 """The manifests are valid, and speak of the service as it is."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

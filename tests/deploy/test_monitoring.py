@@ -1,7 +1,5 @@
 """The alerts and the dashboard ask for metrics that ``/metrics`` has, by labels that they have."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """TLS in front of the service, by nginx and Caddy as ``deploy/`` configures them."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Both descriptors: linear in the silhouette, and rebuilt exactly from what a manifest holds."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

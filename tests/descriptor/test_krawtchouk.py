@@ -1,7 +1,5 @@
 """Krawtchouk polynomials against their definition, their Jacobi matrix and each other."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from math import comb, sqrt
 

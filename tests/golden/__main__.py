@@ -1,7 +1,5 @@
 """Rewrite the golden answers that changed, and print what changed: ``python -m tests.golden``."""
 
-from __future__ import annotations
-
 import sys
 
 from tests.golden.answers import FOLDER, ask_all, differences, file_of, pretty, read

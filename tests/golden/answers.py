@@ -1,7 +1,5 @@
 """Answers: got from the service, stored as JSON, compared."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

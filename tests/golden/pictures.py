@@ -1,7 +1,5 @@
 """The pictures that the requests send: those in ``tests/data``, and drawn ones."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """The table of requests, in the order in which they are sent."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Every request of the table has its golden answer."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Indexes of stick figures that move, and of some that lie as well."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Builders and measures that several tests of the index share."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

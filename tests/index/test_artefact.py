@@ -1,7 +1,5 @@
 """The artefact: the same on disk as in memory, or refused in one sentence."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import hashlib

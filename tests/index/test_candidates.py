@@ -1,7 +1,5 @@
 """The entries nearest to a silhouette in each rotation, the same as by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Which way skeletons face, and the choice among hypotheses that face either way."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

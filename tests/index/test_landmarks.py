@@ -1,7 +1,5 @@
 """Landmarks compared with skeletons, and skeletons fitted to them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

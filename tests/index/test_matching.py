@@ -1,7 +1,5 @@
 """Matching silhouettes, without and with landmarks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """An index published in Milvus, and searched there: Milvus Lite, in this process."""
 
-from __future__ import annotations
-
 import socket
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Modes: apart from each other, and interpolated to the query."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

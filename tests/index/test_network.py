@@ -1,7 +1,5 @@
 """The joint network: its distributions, their exactness, and the likelihood of skeletons."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

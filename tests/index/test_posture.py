@@ -1,7 +1,5 @@
 """Postures of skeletons built by hand, one for each rule, and what must not change them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import get_args
 

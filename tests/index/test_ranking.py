@@ -1,7 +1,5 @@
 """The order of hypotheses by a network."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Exact search of descriptors and of limbs: the same as comparing with each vector."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Conventions of the skeleton and its camera, and the keypoint sets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

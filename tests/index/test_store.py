@@ -1,7 +1,5 @@
 """The index in memory: consistency of its parts, search, and entries."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a build would delete is refused before anything is read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Pages and documents say what was measured; templates are filled, and what they lack is named."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

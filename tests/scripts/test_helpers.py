@@ -1,7 +1,5 @@
 """Commands that write refuse to write over what they read."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 

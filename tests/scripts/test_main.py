@@ -1,7 +1,5 @@
 """Commands: all are listed, and what one lacks is said in one sentence."""
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import inspect

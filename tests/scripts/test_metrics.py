@@ -1,7 +1,5 @@
 """Metrics, on answers that are known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A street video becomes an annotated video."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 

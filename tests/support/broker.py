@@ -1,7 +1,5 @@
 """A real MQTT broker, which can be stopped and started again, and a subscriber."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Jobs that end early."""
 
-from __future__ import annotations
-
 from app.scheduling.job import DeadlineError, Job
 
 

@@ -1,7 +1,5 @@
 """Programs that run until they end by themselves."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 from pathlib import Path

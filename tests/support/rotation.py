@@ -4,8 +4,6 @@ They count counterclockwise, as those of ``numpy.rot90``; the shape is always th
 before it is rotated.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Talk to a service under test: problems, metrics, frames of cameras, and waiting for a state."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The debug page in headless Chromium."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Callers who send as much as they can, all at once: probes are answered, memory is bounded."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os

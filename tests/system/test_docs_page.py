@@ -1,7 +1,5 @@
 """Swagger UI in headless Chromium: its requests are answered as they are filled in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

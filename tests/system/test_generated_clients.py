@@ -1,7 +1,5 @@
 """Clients that three generators make of the document: each calls every route of a live server."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import json

@@ -1,7 +1,5 @@
 """An index of one's own, as docs/index.md describes it: three clips of another rig, served."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

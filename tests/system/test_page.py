@@ -1,7 +1,5 @@
 """The debug page in a real browser: headless Chromium, driven by Playwright."""
 
-from __future__ import annotations
-
 import json
 import re
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Photographs, masks, empty scenes and keys given to the debug page, and the errors it shows."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

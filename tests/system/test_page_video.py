@@ -1,7 +1,5 @@
 """Videos and the webcam on the debug page: a camera session, played and shown over time."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Requests that are no requests, never end or never begin, over a real socket."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import AsyncIterator

@@ -1,7 +1,5 @@
 """The service as a process: a broken index, overload, hang-ups, the end."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

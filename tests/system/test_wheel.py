@@ -1,7 +1,5 @@
 """``pip install .`` serves what a checkout does, from an empty folder."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Cameras in rooms and streets: where they hang, what they are aimed at, how wide they see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From linear light to the bytes of a photograph: exposure, lens, sensor, compression."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.random import Generator

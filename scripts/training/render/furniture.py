@@ -4,8 +4,6 @@ Objects stand on the floor, at height 0, and face +z. Objects fitted to a person
 axes and the height of their support.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

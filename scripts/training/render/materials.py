@@ -1,7 +1,5 @@
 """What surfaces look like: colours, patterns, wrinkles, gloss."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies with parts that have materials of their own, and where their landmarks are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

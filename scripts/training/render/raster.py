@@ -1,7 +1,5 @@
 """The renderer: triangles with a depth buffer, rooms by rays, patterns, light and shadows."""
 
-from __future__ import annotations
-
 import math
 from typing import TypeAlias
 

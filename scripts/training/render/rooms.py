@@ -1,7 +1,5 @@
 """Rooms and streets: a box seen from inside, with windows, doors and pictures on its walls."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What surrounds a body: what it sits or lies on, what stands about it and hides it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What else a photograph may show: the body cut off or covered, bad light, a bad camera."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Silhouettes in COCO's forms: read back, they are the same pixels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

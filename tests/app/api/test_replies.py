@@ -1,7 +1,5 @@
 """Answers as JSON."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

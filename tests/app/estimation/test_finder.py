@@ -1,7 +1,5 @@
 """Finding people: which readings are of one body."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

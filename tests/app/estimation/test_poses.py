@@ -1,7 +1,5 @@
 """People normalised for matching, and skeletons placed before the camera."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

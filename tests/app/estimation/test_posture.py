@@ -1,7 +1,5 @@
 """How likely a person is in each posture, in a frame and over time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

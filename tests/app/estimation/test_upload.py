@@ -1,7 +1,5 @@
 """Uploads: what is refused, and what the rest is decoded to."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

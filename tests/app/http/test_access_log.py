@@ -1,7 +1,5 @@
 """Every request has an id and a log line, unhandled errors too."""
 
-from __future__ import annotations
-
 import json
 import logging
 

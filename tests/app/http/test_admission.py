@@ -1,7 +1,5 @@
 """Requests that are refused before a byte of the body is read."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import anyio

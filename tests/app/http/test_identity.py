@@ -1,7 +1,5 @@
 """Identities: the caller by key or address, and the camera that a request names."""
 
-from __future__ import annotations
-
 import pytest
 from pydantic import SecretStr
 

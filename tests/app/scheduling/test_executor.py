@@ -1,7 +1,5 @@
 """The executor bounds concurrent work, is fair to frames, and drops abandoned ones."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import gc

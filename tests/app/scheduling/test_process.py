@@ -1,7 +1,5 @@
 """Cores, priorities and settings of the process."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """The fair queue in simulated time: admission, order, and that no client starves."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 from collections.abc import Callable, Hashable

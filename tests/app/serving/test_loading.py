@@ -1,7 +1,5 @@
 """The application while its index is loading, and when loading fails."""
 
-from __future__ import annotations
-
 import pytest
 from fastapi.testclient import TestClient
 

@@ -1,7 +1,5 @@
 """An index in Milvus: what clients notice of failing searches, and of another index published."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

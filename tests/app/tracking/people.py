@@ -1,7 +1,5 @@
 """People of chosen poses, as the estimator returns them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

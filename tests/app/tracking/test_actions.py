@@ -1,7 +1,5 @@
 """Actions of tracks: features of motion, the linear model, the sliding window."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Events of a track, from the postures of its frames."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import pytest

@@ -1,7 +1,5 @@
 """The people of a frame, found by the tracks' windows and by searches of the whole frame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

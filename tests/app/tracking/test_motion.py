@@ -1,7 +1,5 @@
 """The velocity over the ground, from projections of people who move, and their headings."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

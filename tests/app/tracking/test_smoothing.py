@@ -1,7 +1,5 @@
 """Smooth poses: ambiguities resolved by motion, bones of constant length."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

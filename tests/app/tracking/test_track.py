@@ -1,7 +1,5 @@
 """One person over time: where they are expected, when they count, which sightings are theirs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

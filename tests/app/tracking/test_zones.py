@@ -1,7 +1,5 @@
 """Zones: which of them a person is in, by which part of the body."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The program that decodes: what it writes, and what it cannot do."""
 
-from __future__ import annotations
-
 import io
 import json
 import subprocess

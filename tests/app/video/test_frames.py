@@ -1,7 +1,5 @@
 """Videos of many kinds, whole, cut off and damaged, become the frames that their maker meant."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Callable

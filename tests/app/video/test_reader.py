@@ -1,7 +1,5 @@
 """Frames of a video, and decoders that misbehave."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import shutil

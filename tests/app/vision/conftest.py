@@ -1,7 +1,5 @@
 """What the tests of vision share: a small street scene, and the networks that ship."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import cv2

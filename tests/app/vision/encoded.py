@@ -1,7 +1,5 @@
 """Encoded images for tests, some of which no encoder writes."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

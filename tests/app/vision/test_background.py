@@ -1,7 +1,5 @@
 """People as differences from the empty scene."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """BlazePose's detector and landmark network, however the frame is rotated."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The depth of landmarks, and the small networks that correct it."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

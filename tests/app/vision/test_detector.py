@@ -1,7 +1,5 @@
 """Detection: one box for each person, tiles, expected people, and the fitted probability."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Boxes, alone and in arrays, windows about people, and the pixels of both."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

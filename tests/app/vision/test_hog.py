@@ -1,7 +1,5 @@
 """HOG: scores of boxes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

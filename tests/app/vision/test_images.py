@@ -1,7 +1,5 @@
 """Photographs and masks: what is decoded, refused, and warned of, and which labels are kept."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Bodies, trust and postures of readings: what must hold whatever the models were taught."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

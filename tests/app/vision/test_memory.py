@@ -1,7 +1,5 @@
 """A frame of any proportions takes no more memory than a square one of as many pixels."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The networks that ship: the files are those of models.json, or the service does not start."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil

@@ -1,7 +1,5 @@
 """MoveNet: the people that Google's graph finds and more, and the keypoints of one in a box."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

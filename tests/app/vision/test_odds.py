@@ -1,7 +1,5 @@
 """Probabilities and log odds are each other's inverse, and finite."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Lines of sight: rotations, placing bodies, cameras of frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Keypoints, landmarks, detections and silhouettes as values."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

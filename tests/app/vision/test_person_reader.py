@@ -1,7 +1,5 @@
 """Reading one person: the right one of several windows, fused with MoveNet's keypoints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

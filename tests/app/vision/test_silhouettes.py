@@ -1,7 +1,5 @@
 """Silhouettes: each pixel is one person's; bodies that the frame or a nearer person cuts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

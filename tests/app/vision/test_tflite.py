@@ -1,7 +1,5 @@
 """Networks run by LiteRT: the same numbers in all threads, and clear errors for other files."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 

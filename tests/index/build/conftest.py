@@ -4,8 +4,6 @@ Everything runs through the real simulation; only the body and the motion are to
 neither torch nor shared data are needed.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How poses move bodies: rotations, retargeting, skinned joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The whole line, on toys and, slowly, from the shared motion capture."""
 
-from __future__ import annotations
-
 import importlib.util
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """The learned descriptor: reproducible, and better at telling poses apart than chance."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 

@@ -1,7 +1,5 @@
 """Garments: the documented fit, and every fault named with its file and line."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Training the network of joints: examples that stay true, and a loss that falls."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

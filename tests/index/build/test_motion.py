@@ -1,7 +1,5 @@
 """Reading motion: every fault named with its file and line; T-poses and jumps left out."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Degraded silhouettes: still silhouettes, and the joints move with them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose

@@ -1,7 +1,5 @@
 """Which poses are taken: sound frames of the segments, mirrored, thinned by coverage."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The rasteriser against analytic silhouettes and against OpenCV's polygon filling."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

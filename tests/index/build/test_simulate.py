@@ -1,7 +1,5 @@
 """The simulation: labelled rightly, and the same bytes on any number of cores."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

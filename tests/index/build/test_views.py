@@ -1,7 +1,5 @@
 """Views: within their ranges, around the body, crowding towards eye level."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Writing an index: silhouettes compressed, a folder replaced whole or not at all."""
 
-from __future__ import annotations
-
 import dataclasses
 import signal
 import sys

@@ -1,7 +1,5 @@
 """A small body on a small skeleton, and clips that move it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

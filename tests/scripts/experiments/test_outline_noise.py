@@ -1,7 +1,5 @@
 """Noise on the contour: as much as asked for, along the radius, nothing else."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """What make bench asks and writes; nothing here is timed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from scripts.load.bench import interleaved, read_street

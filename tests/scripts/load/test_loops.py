@@ -1,7 +1,5 @@
 """The measuring client over a real socket: answers whole, and connections kept or opened anew."""
 
-from __future__ import annotations
-
 import itertools
 import socket
 import socketserver

@@ -1,7 +1,5 @@
 """The soak's mixture: each kind of bad request is answered as it is meant to be."""
 
-from __future__ import annotations
-
 from fastapi.testclient import TestClient
 
 from index.store import PoseIndex

@@ -1,7 +1,5 @@
 """Small networks: averages, scaled and moved outputs; training is the same for the same seed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal

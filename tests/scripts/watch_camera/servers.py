@@ -1,7 +1,5 @@
 """A service and a webhook that answer as they are told, and a disk without room."""
 
-from __future__ import annotations
-
 import json
 import resource
 import threading

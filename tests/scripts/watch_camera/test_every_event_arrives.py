@@ -3,8 +3,6 @@
 The disk is a file system of 64 KiB where this may mount one, else a limit on the size of files.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import resource

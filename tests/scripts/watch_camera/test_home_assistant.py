@@ -1,7 +1,5 @@
 """What a real broker and Home Assistant are sent."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

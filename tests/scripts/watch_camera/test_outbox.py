@@ -1,7 +1,5 @@
 """The queue of events: nothing lost, nothing twice, in order."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Meshes, the rasteriser, rooms, cameras and development: what a picture must hold."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Whole photographs of real motion and bodies: labels that hold, and the same ones by seed."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What else a photograph may show: its truth follows what is hidden."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
