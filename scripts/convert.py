@@ -146,17 +146,7 @@ def to_tflite(graph: Any, outputs: tuple[str, ...]) -> bytes:
 def part_of(model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = ()) -> bytes:
     """Cut the part out of a TFLite network that leads from tensors of some names to others.
 
-    Parameters
-    ----------
-    outputs : tuple of str
-        The part's outputs, in their order.
-    inputs : tuple of str
-        The part's inputs; by default those of the network.
-
-    Raises
-    ------
-    ValueError
-        If the network has no such tensor.
+    By default, it begins with the network's own inputs; ``ValueError`` if there is no such tensor.
     """
     import flatbuffers
     from ai_edge_litert import schema_py_generated as schema

@@ -249,16 +249,8 @@ def read_marks(file: Path = ROOT / "tests" / "data" / "vtest-people.json") -> li
 class HomeFilm:
     """A film of ``real/homes`` and what its labels say.
 
-    Parameters
-    ----------
-    name, source, about : str
-        File, data set, description.
-    classes : list of (str, float, float)
-        Activity, and from when to when, seconds.
-    fall : float or None
-        Begin of the fall, seconds.
-    crop : (4,) tuple of float
-        Part of the frame that shows the scene: left, top, width, height as shares.
+    Classes are activities, each from and to a second; ``fall`` is the second at which one begins.
+    The crop is the part of the frame that shows the scene: left, top, width, height as shares.
     """
 
     name: str

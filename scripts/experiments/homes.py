@@ -36,14 +36,9 @@ Figures = dict[str, Any]
 
 @dataclass
 class Watched:
-    """What a session said of a film.
+    """What a session said of a film: what began or happened and when, and postures.
 
-    Parameters
-    ----------
-    events : list of (float, str)
-        What began or happened, and when.
-    answers : list of (str, str or None)
-        True posture, and the label of the largest person.
+    Answers are pairs of the true posture and the label of the largest person.
     """
 
     film: HomeFilm

@@ -14,20 +14,10 @@ _SHIFT = 4
 def disturb(
     silhouette: NDArray[np.uint8], std_px: float, generator: np.random.Generator
 ) -> NDArray[np.uint8]:
-    """Move every contour point along its radius by Gaussian noise and fill the contour again.
+    """Move every contour point of a silhouette ``(H, W)`` along its radius by Gaussian noise.
 
-    Parameters
-    ----------
-    silhouette : (H, W) uint8 array
-        1 on the person, 0 elsewhere.
-    std_px : float
-        Standard deviation of the change of the radius, which is measured from the centroid of
-        the silhouette. 0 leaves the silhouette as it is.
-
-    Returns
-    -------
-    (H, W) uint8 array
-        Outer contours and holes, all redrawn; clipped to the frame.
+    ``std_px`` is the standard deviation of the change of the radius, which is measured from the
+    centroid. Outer contours and holes are filled again, and clipped to the frame.
     """
     if std_px == 0:
         return silhouette.copy()

@@ -61,19 +61,10 @@ Answer = tuple[str, str, NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class Shown:
-    """A frame of a source, and what is known of the person in it.
+    """A frame ``(H, W, 3)``, BGR, of a source, and what is known of the person in it.
 
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        BGR.
-    truth : str, optional
-        Posture, one of :data:`GROUPS`.
-    box : Box, optional
-    joints_3d, joints_2d : (12, 3) and (12, 2) float64 arrays, optional
-        Limb joints in camera axes and in pixels.
-    visible : (12,) bool array, optional
-        Which limb joints are visible.
+    The truth is one of :data:`GROUPS`. The limb joints are ``(12, 3)`` in camera axes, ``(12, 2)``
+    in pixels, and visible or not, ``(12,)``.
     """
 
     source: str

@@ -36,10 +36,7 @@ def watch(
 ) -> dict[int, float]:
     """Send a camera's frames from a time of the monotonic clock on.
 
-    Returns
-    -------
-    dict
-        Milliseconds from a frame to its answer, by number; dropped ones have none.
+    Returns the milliseconds from a frame to its answer, by number; dropped ones have none.
     """
     client, answered_ms, number = Client(url), dict[int, float](), 0
     while number < seconds * PER_S:

@@ -29,22 +29,9 @@ def fit_dense(
 ) -> DenseNetwork:
     """Train a network; the same one for the same arguments.
 
-    Parameters
-    ----------
-    features : (N, F) array
-    targets : (N, T) array
-        Given to the loss as they are.
-    outputs : int
-    loss : callable
-    hidden : tuple of int
-        Widths of the layers between.
-    epochs, seed, batch : int
-    rate, decay : float
-        Of AdamW; the rate rises and falls over the training.
-    dropout : float
-        Share of the hidden values that is left out.
-    noise : float
-        Added to standardised features.
+    The loss is given targets ``(N, T)`` as they are. Layers between have the widths ``hidden``. The
+    rate of AdamW rises and falls over the training. A share ``dropout`` of the hidden values is
+    left out, and noise is added to the standardised features ``(N, F)``.
     """
     import torch
 

@@ -16,12 +16,7 @@ from index.store import PoseIndex
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:
     """Return an index built as the shipped one is, without the held-out clips, and its network.
 
-    Parameters
-    ----------
-    shared : Path
-        Folder with ``mocap/`` and ``garments/``.
-    folder : Path or None
-        Keeps the index from one run to the next.
+    The folder keeps the index from one run to the next.
     """
     kept, held = hold_out(read_manifest(shared / "mocap"))
     if folder is not None and folder.exists():

@@ -41,13 +41,7 @@ class Rows:
 
     @classmethod
     def read(cls, folders: Sequence[Path]) -> Self:
-        """All rows that were written into folders.
-
-        Raises
-        ------
-        FileNotFoundError
-            If a folder holds none.
-        """
+        """All rows that were written into folders; ``FileNotFoundError`` if one holds none."""
         parts = []
         for folder in folders:
             files = sorted(folder.glob("*.npz"))
@@ -72,27 +66,13 @@ class Rows:
 
 @dataclass(frozen=True)
 class WindowRows(Rows):
-    """Windows that the landmark network read, with the truth about them.
+    """Windows that the landmark network read, with the truth about them, ``N`` of each.
 
-    Parameters
-    ----------
-    scene : (N,) int64 array
-        Number of the photograph.
-    points, world, presence, last
-        As :class:`app.vision.blazepose.NetworkPass` has them, ``N`` of each.
-    sampled : (N, 33, 144) float16 array
-        The middle map at the landmarks.
-    window : (N, 4) float64 array
-        x, y, side, roll in degrees.
-    focal, centre, frame_px : (N, 2) float64 array
-        As :class:`scripts.training.render.scene.Photograph` has them.
-    posture : (N,) int64 array
-        Class, or -1 where nobody is.
-    landmarks : (N, 33, 3) float32 array
-        Camera axes, metres.
-    places : (N, 33, 2) float32 array
-        Pixels.
-    shown : (N, 33) bool array
+    ``scene`` is the number of the photograph. Points, world, presence and last are as in
+    :class:`app.vision.blazepose.NetworkPass`; ``sampled`` ``(N, 33, 144)`` is the middle map at the
+    landmarks. Windows ``(N, 4)`` are x, y, side, and roll in degrees. Focal, centre and frame are
+    as in :class:`scripts.training.render.scene.Photograph`. The posture is -1 where nobody is.
+    Landmarks ``(N, 33, 3)`` are metres in camera axes, places ``(N, 33, 2)`` pixels, shown or not.
     """
 
     scene: NDArray[np.int64]

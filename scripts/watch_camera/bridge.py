@@ -25,10 +25,7 @@ _NO_CAMERA = (404, 405, 422)
 class Bridge:
     """Posts a camera's frames and passes the events on.
 
-    Parameters
-    ----------
-    home_assistant : HomeAssistant, optional
-        Shows how many people there are, and which zones are occupied.
+    Home Assistant is shown how many people there are, and which zones are occupied.
     """
 
     def __init__(
@@ -42,13 +39,7 @@ class Bridge:
         self.answered = 0
 
     def watch(self, source: Source, fps: float, stopping: threading.Event) -> None:
-        """Post frames until a file ends or this is stopped.
-
-        Raises
-        ------
-        RefusedError
-            If the service will accept no frame.
-        """
+        """Post frames until a file ends or this is stopped; ``RefusedError`` if none is taken."""
         status_at = time.monotonic()
         with contextlib.suppress(UnavailableError, RefusedError):  # The first frame meets the same.
             self._catch_up()

@@ -31,13 +31,7 @@ def say(text: str) -> None:
 
 
 class Trouble:
-    """A fault that lasts: reported when it begins, when it changes and when it is over.
-
-    Parameters
-    ----------
-    over : str
-        The line that reports its end.
-    """
+    """A fault that lasts: reported when it begins, when it changes and when it is over."""
 
     def __init__(self, over: str) -> None:
         self._over, self._said, self._failures = over, "", 0
@@ -59,10 +53,7 @@ class Trouble:
 class Connection:
     """Requests to the host of an address, one after the other over one connection.
 
-    Parameters
-    ----------
-    address : SplitResult
-        Credentials in it are sent with each request (basic authentication).
+    Credentials in the address are sent with each request (basic authentication).
     """
 
     def __init__(self, address: SplitResult, timeout_s: float) -> None:
@@ -81,12 +72,7 @@ class Connection:
     ) -> tuple[http.client.HTTPMessage, bytes]:
         """Return headers and content of an answer.
 
-        Raises
-        ------
-        UnavailableError
-            If there is no answer.
-        RefusedError
-            If the answer has a status of 300 or more.
+        Raises ``UnavailableError`` if there is none, ``RefusedError`` for a status of 300 or more.
         """
         try:
             self._connection.request(method, target, body, self._headers | headers)

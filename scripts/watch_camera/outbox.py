@@ -27,18 +27,9 @@ create table if not exists newest (camera text primary key, id text);
 class Outbox:
     """A camera's messages in order, for several receivers; safe under several threads.
 
-    Parameters
-    ----------
-    receivers : iterable of str
-        Their names.
-    path : Path, optional
-        Keeps the messages beyond the end of the process, and those of other cameras. While it
-        cannot be written, messages wait in memory alone.
-
-    Attributes
-    ----------
-    newest : str or None
-        Id of the newest message that was put, even by an earlier process; None if none ever was.
+    The path keeps them beyond the end of the process, and those of other cameras; while it cannot
+    be written, messages wait in memory alone. ``newest`` is the id of the newest message that was
+    put, even by an earlier process; None if none ever was.
     """
 
     def __init__(self, camera_id: str, receivers: Iterable[str], path: Path | None = None) -> None:
@@ -145,18 +136,10 @@ def deliver(
     send: Callable[[Message], None],
     meanwhile: Callable[[], None] = lambda: None,
 ) -> None:
-    """Send a receiver's messages one after the other, each until it is taken.
+    """Send a receiver's messages one after the other, each until it is taken or this is stopped.
 
-    Parameters
-    ----------
-    stopping : Event
-        Ends this.
-    receiver : str
-        Its name in the outbox.
-    send : callable
-        Returns once the receiver has the message; raises UnavailableError or RefusedError.
-    meanwhile : callable
-        Called several times a second.
+    ``send`` returns once the receiver has the message; it raises UnavailableError or RefusedError.
+    ``meanwhile`` is called several times a second.
     """
     trouble, retry_at = Trouble(f"{receiver} takes events again"), 0.0
     while not stopping.is_set():

@@ -17,15 +17,8 @@ FOV_DEG = (40.0, 110.0)
 class Camera:
     """A pinhole camera; lengths in halves of the frame's longer side.
 
-    Parameters
-    ----------
-    place : (3,) float64 array
-        World axes, metres.
-    rotation : (3, 3) float64 array
-        World axes to camera axes.
-    focal : float
-    half : (2,) float64 array
-        Half of the frame's width and height.
+    Its place ``(3,)`` is in metres and world axes, its rotation ``(3, 3)`` leads from these to
+    camera axes; ``half`` is half of the frame's width and height.
     """
 
     place: NDArray[np.float64]
@@ -92,20 +85,10 @@ def sample_camera(
 def aimed_at(
     direction: NDArray[np.float64], at: NDArray[np.float64], roll: float
 ) -> NDArray[np.float64]:
-    """Rotation from world to camera axes that shows a direction at about a place.
+    """Rotation from world to camera axes that shows a direction ``(3,)`` at about a place.
 
-    Parameters
-    ----------
-    direction : (3,) float64 array
-        World axes.
-    at : (2,) float64 array
-        Where it appears, before the roll: right and down of the axis, over the focal length.
-    roll : float
-        Radians about the optical axis.
-
-    Returns
-    -------
-    (3, 3) float64 array
+    The place ``(2,)``, before the roll in radians, is to the right and down of the axis, over the
+    focal length.
     """
     yaw, pitch = np.arctan2(at[0], 1.0), np.arctan2(at[1], np.hypot(1.0, at[0]))
     level = np.hypot(direction[0], direction[2])

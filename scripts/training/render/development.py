@@ -14,18 +14,8 @@ def develop(
 ) -> NDArray[np.uint8]:
     """Turn linear light into an 8-bit photograph: random blur, exposure, tone curve, noise.
 
-    Parameters
-    ----------
-    light : (H, W, 3) float32 array
-        Linear RGB, about 1 where it is bright.
-    size : tuple of int
-        Width and height of the picture, pixels.
-    generator : Generator
-
-    Returns
-    -------
-    (height, width, 3) uint8 array
-        BGR.
+    Light ``(H, W, 3)`` is linear RGB, about 1 where it is bright; the picture is BGR, of a width
+    and height.
     """
     picture = np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32)
     if generator.random() < 0.25:

@@ -31,14 +31,7 @@ def chair(
 ) -> Mesh:
     """Something to sit on: stool, chair, armchair, sofa, bench, bed or wheelchair.
 
-    Parameters
-    ----------
-    floor, seat : float
-        Heights, metres.
-    behind : float
-        Where a back may stand, along z.
-    materials : Materials
-    generator : Generator
+    Floor and seat are heights in metres; a back may stand ``behind``, along z.
     """
     frame = materials.add(surface(generator, pale=0.2))
     soft = materials.add(cloth(generator))

@@ -24,22 +24,11 @@ HAIRS = np.array(
 
 @dataclass(frozen=True)
 class Material:
-    """One surface.
+    """One surface: the colours of ground and pattern, linear RGB, and the kind of pattern.
 
-    Parameters
-    ----------
-    colour, other : (3,) float64 array
-        Linear RGB of the ground and of the pattern.
-    kind : int
-        Of pattern.
-    frequency : float
-        Of the pattern, periods a metre.
-    phase, duty : float
-        Where the pattern begins, in periods, and the share of it that has the other colour.
-    wrinkles : float
-        How far wrinkles turn the surface, as a share of its normal.
-    gloss : float
-        Strength of the highlight.
+    The frequency is in periods a metre; ``phase`` and ``duty`` are where the pattern begins, in
+    periods, and the share of it that has the other colour. ``wrinkles`` is how far these turn the
+    surface, as a share of its normal; ``gloss`` is the strength of the highlight.
     """
 
     colour: NDArray[np.float64]

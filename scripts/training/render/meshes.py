@@ -12,17 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles with a material.
+    """Triangles ``(T, 3)`` of vertices ``(V, 3)`` in world axes, metres, with a material.
 
-    Parameters
-    ----------
-    vertices : (V, 3) float32 array
-        World axes, metres.
-    textured : (V, 3) float32 array
-        Where each vertex lies in the space of its material's pattern, metres.
-    triangles : (T, 3) int32 array
-    materials : (V,) int32 array
-        Rows of a table of materials.
+    ``textured`` ``(V, 3)`` is where each vertex lies in the space of its material's pattern,
+    metres; ``materials`` ``(V,)`` are rows of a table of materials.
     """
 
     vertices: NDArray[np.float32]

@@ -43,22 +43,11 @@ SEAT_BONES = ("Hips", "LHipJoint", "RHipJoint", "LeftUpLeg", "RightUpLeg")
 
 @dataclass(frozen=True)
 class Person:
-    """A body in clothes, in rest pose.
+    """A body in clothes, in rest pose; the avatar has its bones.
 
-    Parameters
-    ----------
-    avatar : Avatar
-        Its bones.
-    vertices : (V, 3) float32 array
-    triangles : (T, 3) int32 array
-    influences : (V, 8) int32 array
-    weights : (V, 8) float32 array
-    parts : (V,) int32 array
-        Positions in :data:`PARTS`.
-    landmarks : (33, B, 4) float64 array
-        A posed landmark is the sum over bones of ``transform @ landmarks[row, bone]``.
-    seat : (S,) int64 array
-        Vertices of the pelvis and the upper thighs.
+    Vertices ``(V, 3)`` have influences and weights ``(V, 8)``, and positions in :data:`PARTS`. A
+    posed landmark is the sum over bones of ``transform @ landmarks[row, bone]``. ``seat`` are
+    vertices of the pelvis and the upper thighs.
     """
 
     avatar: Avatar
@@ -254,16 +243,7 @@ def person_materials(materials: Materials, generator: Generator) -> NDArray[np.i
 
 
 def cast(count: int, seed: int, garments: Path, *, held_out: bool) -> list[Person]:
-    """Make people of any build in any clothes.
-
-    Parameters
-    ----------
-    count : int
-    seed : int
-    garments : Path
-    held_out : bool
-        Whether they wear the garments that only held-out people wear, or the others.
-    """
+    """Make people of any build in any clothes; held-out people wear garments of their own."""
     generator = np.random.default_rng([seed, int(held_out)])
     names = sorted(find_garments(garments))
     suits = split_of([name for name in names if "suit" in name], held_out)

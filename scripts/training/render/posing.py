@@ -102,17 +102,10 @@ class Bones:
 
 @dataclass
 class Pose:
-    """A pose that is being made.
+    """A pose that is being made: world rotations ``(B, 3, 3)`` of a clip's bones.
 
-    Parameters
-    ----------
-    clip : Clip
-    rotations : (B, 3, 3) float64 array
-        World rotations of the clip's bones.
-    bones : Bones
-    support : str
-        What carries the body: on a seat it sits however far it leans, on a cycle whatever the legs
-        do.
+    ``support`` carries the body: on a seat it sits however far it leans, on a cycle whatever the
+    legs do.
     """
 
     clip: Clip
@@ -178,15 +171,7 @@ def _direction(generator: Generator) -> NDArray[np.float64]:
 
 @dataclass
 class PoseSource:
-    """Draws poses of a class.
-
-    Parameters
-    ----------
-    poses : Poses
-        Recorded ones.
-    classes : (P,) int array
-        Class of each.
-    """
+    """Draws poses of a class, given recorded ones and the class of each."""
 
     poses: Poses
     classes: NDArray[np.int64]

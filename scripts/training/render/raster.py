@@ -46,23 +46,12 @@ def rasterise(
     shown: Ints,
     shares: Floats,
 ) -> None:
-    """Find which triangle each pixel shows.
+    """Find which triangle ``(T, 3)`` each pixel shows.
 
-    Parameters
-    ----------
-    plane : (V, 2) float32 array
-        Projected vertices, pixels.
-    depths : (V,) float32 array
-        Along the optical axis, metres.
-    triangles : (T, 3) int32 array
-    min_depth : float
-        Triangles that reach nearer are left out.
-    nearness : (H, W) float32 array
-        One over depth; written where a triangle is nearer.
-    shown : (H, W) int32 array
-        Written: the triangle.
-    shares : (H, W, 2) float32 array
-        Written: weights of its first two corners, in perspective.
+    ``plane`` ``(V, 2)`` are projected vertices, pixels, and ``depths`` ``(V,)`` metres along the
+    optical axis; triangles that reach nearer than ``min_depth`` are left out. Where a triangle is
+    nearer, one over its depth is written to ``nearness`` ``(H, W)``, its number to ``shown`` ``(H,
+    W)``, and the weights of its first two corners, in perspective, to ``shares`` ``(H, W, 2)``.
     """
     height, width = nearness.shape
     for t in range(len(triangles)):

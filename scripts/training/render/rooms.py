@@ -30,21 +30,12 @@ KIND_LIMITS = (0.25, 0.45, 0.8)
 
 @dataclass(frozen=True)
 class Room:
-    """A room in axes of its own, turned about the vertical against the world's.
+    """A room in axes of its own, to which ``turn`` leads from the world's.
 
-    Parameters
-    ----------
-    turn : (3, 3) float64 array
-        World axes to those of the room.
-    corners : (2, 3) float64 array
-        Lowest and highest, axes of the room.
-    materials : (6, 12) float32 array
-        Of low x, high x, floor, ceiling, low z, high z.
-    panels : (P, 18) float32 array
-        See :func:`scripts.training.render.raster.paint_room`.
-    glow : (5,) float64 array
-        Lamp: place in axes of the room, share, reach.
-    outdoors : bool
+    Corners ``(2, 3)`` are its lowest and highest; materials ``(6, 12)`` those of low x, high x,
+    floor, ceiling, low z and high z. Panels are as in
+    :func:`scripts.training.render.raster.paint_room`. ``glow`` ``(5,)`` is a lamp: place, share,
+    reach.
     """
 
     turn: NDArray[np.float64]

@@ -26,17 +26,8 @@ _EARS = [LANDMARK_NAMES.index(f"{side}_ear") for side in ("left", "right")]
 class PosedBody:
     """A body in world axes, its pelvis over the origin.
 
-    Parameters
-    ----------
-    mesh : Mesh
-    landmarks : (33, 3) float64 array
-    joints : (19, 3) float64 array
-    posture : int
-        Position in :data:`app.vision.judgement.FRAME_POSTURES`.
-    seat : float
-        Height of the seat.
-    support : str
-        What carries the body.
+    It has landmarks ``(33, 3)``, joints ``(19, 3)``, a posture as a position in
+    :data:`app.vision.judgement.FRAME_POSTURES`, the height of the seat, and what carries it.
     """
 
     mesh: Mesh
