@@ -16,7 +16,8 @@ from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.video.reader import VideoError, VideoFrame, VideoReader
+from app.video import Frame
+from app.video.reader import VideoError, VideoReader
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 from index.posture import PostureName
 from index.search import UnavailableError
@@ -87,7 +88,7 @@ class VideoRun:
 
     async def lines(
         self,
-        first: VideoFrame,
+        first: Frame,
         reader: VideoReader,
         write: Callable[[TrackedFrame, int], bytes],
         is_ending: Callable[[], bool],
@@ -98,7 +99,7 @@ class VideoRun:
         the video, on the executor's thread; ``is_ending`` says whether the service is being
         stopped.
         """
-        frame: VideoFrame | None = first
+        frame: Frame | None = first
         try:
             while frame is not None:
                 if is_ending():
@@ -135,9 +136,7 @@ class VideoRun:
         self.summary.events += self._session.unconfirmed()
         self.end = end
 
-    async def _process(
-        self, frame: VideoFrame, write: Callable[[TrackedFrame, int], bytes]
-    ) -> bytes:
+    async def _process(self, frame: Frame, write: Callable[[TrackedFrame, int], bytes]) -> bytes:
         """Process a frame once it is its turn, and return its line."""
 
         def work(job: Job) -> tuple[TrackedFrame, bytes]:

@@ -26,7 +26,8 @@ from app.scheduling.job import Job
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.video.frames import Frame, UnreadableError, Video
+from app.video import Frame
+from app.video.frames import UnreadableError, Video
 from app.vision.optics import Optics
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES

@@ -295,13 +295,7 @@ def joint_fields(
 
 
 def _source(label: Label) -> schemas.MotionSource:
-    return schemas.MotionSource(
-        clip=label.clip,
-        frame=label.frame,
-        subject=label.subject,
-        action=label.action,
-        mirrored=label.mirrored,
-    )
+    return schemas.MotionSource.model_validate(label, from_attributes=True)
 
 
 def _camera(label: Label) -> schemas.Camera:

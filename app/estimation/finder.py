@@ -96,8 +96,11 @@ class PeopleFinder:
             with job.stage("segment"):
                 silhouettes = silhouettes_from_labels(upload.mask)
             return "mask", [Target(one.box) for one in silhouettes], lambda _: silhouettes
-        scene = self._background(upload)
-        cut = None if scene is None else partial(scene.segment, frame, checkpoint=job.checkpoint)
+        scene = cut = None
+        if upload.background is not None:
+            smallest = smallest_person_px(frame.shape, self.min_person_px)
+            scene = BackgroundSegmenter(upload.background, min_person_px=smallest)
+            cut = partial(scene.segment, frame, checkpoint=job.checkpoint)
         if upload.boxes is not None:
             return "boxes", [Target(box) for box in upload.boxes], cut
         if scene is None:
@@ -108,12 +111,6 @@ class PeopleFinder:
             job.checkpoint()
         targets = [Target(one.box, one.score, one) for one in found]
         return "detector" if scene is None else "background", targets, cut
-
-    def _background(self, upload: DecodedUpload) -> BackgroundSegmenter | None:
-        if upload.background is None:
-            return None
-        smallest = smallest_person_px(upload.frame.shape, self.min_person_px)
-        return BackgroundSegmenter(upload.background, min_person_px=smallest)
 
     def search(
         self, frame: NDArray[np.uint8], job: Job, lost: Sequence[Box] = ()
@@ -138,21 +135,20 @@ class PeopleFinder:
 
         def read(target: Target) -> PoseReading | None:
             expected, found = target.expected, target.detection
-            if found is None and expected is not None:
-                if isinstance(expected, PoseReading):
-                    return expected
-                return reader.follow(frame, expected)
-            found = found or Detection(target.box, 1.0)
-            return reader.read(frame, found.box, found.keypoints, found.windows, expected)
-
-        def finished(target: Target) -> PoseReading | None:
-            reading = read(target)
+            reading: PoseReading | None
+            if found is None and isinstance(expected, PoseReading):
+                reading = expected
+            elif found is None and isinstance(expected, PersonWindow):
+                reading = reader.follow(frame, expected)
+            else:
+                found = found or Detection(target.box, 1.0)
+                reading = reader.read(frame, found.box, found.keypoints, found.windows, expected)
             if reading is None:
                 return None
             return reader.with_mask(reading) if masks else replace(reading, mask_inputs=())
 
         with job.stage("keypoints"):
-            return job.map(finished, targets)
+            return job.map(read, targets)
 
     def observe(
         self,

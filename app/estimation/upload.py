@@ -53,16 +53,14 @@ _MIN_GAP_SHARE = 0.5
 narrower one."""
 
 
+UploadFault = Literal["undecodable", "too_large", "misfit"]
+"""A misfit is valid in itself, but not for this frame."""
+
+
 class UploadError(ValueError):
-    """An upload that cannot be used; the message is one sentence.
+    """An upload that cannot be used; its message is one sentence, its field the one at fault."""
 
-    The field is ``frame``, ``mask``, ``background``, ``boxes`` or ``track_ids``; a ``misfit`` is
-    valid in itself, but not for this frame.
-    """
-
-    def __init__(
-        self, field: str, reason: Literal["undecodable", "too_large", "misfit"], message: str
-    ) -> None:
+    def __init__(self, field: str, message: str, reason: UploadFault = "misfit") -> None:
         super().__init__(message)
         self.field = field
         self.reason = reason
@@ -104,10 +102,10 @@ class Upload:
 
     def __post_init__(self) -> None:
         if self.frame is None and self.mask is None:
-            raise UploadError("frame", "misfit", "frame: expected an image file, got none")
+            raise UploadError("frame", "frame: expected an image file, got none")
         for name in ("background", "boxes"):
             if self.mask is not None and getattr(self, name) is not None:
-                raise UploadError(name, "misfit", f"expected a mask or {name}, got both")
+                raise UploadError(name, f"expected a mask or {name}, got both")
         if self.track_ids is not None:
             _check_track_ids(self.track_ids, self.boxes)
 
@@ -117,14 +115,11 @@ def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> N
         count = "no boxes" if boxes is None else f"{len(boxes)} boxes"
         raise UploadError(
             "track_ids",
-            "misfit",
             f"track_ids: expected one for each box, got {len(track_ids)} and {count}",
         )
     for track_id, times in Counter(track_ids).items():
         if times > 1:
-            raise UploadError(
-                "track_ids", "misfit", f"track_ids: expected each once, got {track_id!r} twice"
-            )
+            raise UploadError("track_ids", f"track_ids: expected each once, got {track_id!r} twice")
 
 
 @dataclass(frozen=True)
@@ -227,18 +222,18 @@ class UploadDecoder:
         try:
             return decode(data, max_pixels=self.max_pixels)
         except ImageTooLargeError as error:
-            raise UploadError(name, "too_large", f"{name}: {error}") from error
+            raise UploadError(name, f"{name}: {error}", "too_large") from error
         except ImageError as error:
-            raise UploadError(name, "undecodable", f"{name}: {error}") from error
+            raise UploadError(name, f"{name}: {error}", "undecodable") from error
 
     def _check_rectified(self, rectification: Rectification) -> None:
         height, width = rectification.upright
         if rectification.changes and width * height > self.max_pixels:
             raise UploadError(
                 "frame",
-                "too_large",
                 f"frame: expected at most {self.max_pixels} pixels once they are square and "
                 f"upright, got {width}x{height}",
+                "too_large",
             )
 
     def _clipped(self, boxes: Sequence[Box], frame: NDArray[np.uint8]) -> list[Box]:
@@ -247,9 +242,7 @@ class UploadDecoder:
 
     def _check_count(self, name: str, count: int) -> None:
         if count > self.max_persons:
-            raise UploadError(
-                name, "misfit", f"expected at most {self.max_persons} persons, got {count}"
-            )
+            raise UploadError(name, f"expected at most {self.max_persons} persons, got {count}")
 
     def _check_area(self, name: str, boxes: Sequence[Box]) -> None:
         """Bound the work on people, which grows with the pixels of their boxes."""
@@ -257,7 +250,6 @@ class UploadDecoder:
         if area > most:
             raise UploadError(
                 name,
-                "misfit",
                 f"{name}: expected people whose boxes together hold at most {most} pixels, "
                 f"got {area:.0f}",
             )
@@ -268,7 +260,6 @@ def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8])
         (height, width), (other_height, other_width) = frame.shape[:2], image.shape[:2]
         raise UploadError(
             name,
-            "misfit",
             f"expected a {name} of {width}x{height} pixels like the frame, "
             f"got {other_width}x{other_height}",
         )
@@ -289,7 +280,6 @@ def _check_together(mask: LabelImage) -> None:
     if apart > 1:
         raise UploadError(
             "mask",
-            "misfit",
             f"expected a label for each person (1, 2, ...; 0 is background), got {apart} figures "
             "apart with the same label",
         )
@@ -316,7 +306,6 @@ def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
     thin = "" if inside is None else f"at least {MIN_BOX_PX:g} pixels wide and high "
     raise UploadError(
         "boxes",
-        "misfit",
         f"expected boxes {thin}inside the frame of {width}x{height} pixels, "
         f"got box {position}: {[box.x, box.y, box.width, box.height]}",
     )

@@ -62,6 +62,11 @@ def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> Probl
     return ProblemError(503, detail, headers=headers, reason=reason)
 
 
+def invalid(field: str, sentence: str) -> ProblemError:
+    """Make the 422 for a parameter or form field."""
+    return ProblemError(422, f"{field}: {sentence}", field=field)
+
+
 def busy(error: BusyError) -> ProblemError:
     """Make the 503 for work that the service has no room for."""
     return overloaded(str(error), error.reason, error.retry_after_s)

@@ -23,7 +23,7 @@ from app.api.tracking_schemas import (
     TrackResponse,
 )
 from app.cameras import CameraKey, CameraSessions, TooManyCamerasError
-from app.http.errors import ProblemError
+from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
@@ -110,11 +110,7 @@ async def track_frame(
     upload, timestamp = query.of(frame.upload), frame.timestamp
     if query.timestamp is not None:
         if timestamp is not None:
-            raise ProblemError(
-                422,
-                "timestamp: expected a form field or a query parameter, got both",
-                field="timestamp",
-            )
+            raise invalid("timestamp", "expected a form field or a query parameter, got both")
         timestamp = query.timestamp
 
     def work(job: Job) -> bytes:
@@ -187,7 +183,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     # waiting.
     if (count := body.count(b",")) > _MAX_VALUES:
         most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
-        raise ProblemError(422, f"zones: expected {most}, got {count} values", field="zones")
+        raise invalid("zones", f"expected {most}, got {count} values")
     try:
         return CameraConfiguration.model_validate_json(body)
     except ValidationError as error:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from app.api.schemas import MAX_PREDICTIONS, DeepstackPrediction, DeepstackResponse, DeepstackUpload
 from app.estimation.upload import Upload, UploadError
-from app.http.errors import ProblemError
+from app.http.errors import invalid
 from app.http.identity import NamesCamera, identity_of, position_of_key, unauthorised
 from app.messages import expected_and_got
 from app.routes.openapi import documented, documented_form
@@ -51,7 +51,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
         check_fields(form, DeepstackUpload.model_fields)
         image = await file_of(form, "image")
         if image is None:
-            raise ProblemError(422, "image: expected an image file, got none", field="image")
+            raise invalid("image", "expected an image file, got none")
         given = {name: text_of(form, name) for name in ("min_confidence", "api_key")}
     try:
         return DeepstackUpload.model_validate(
@@ -59,8 +59,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
         )
     except ValidationError as error:
         first = error.errors()[0]
-        field = str(first["loc"][0])
-        raise ProblemError(422, f"{field}: {expected_and_got(first)}", field=field) from None
+        raise invalid(str(first["loc"][0]), expected_and_got(first)) from None
 
 
 @router.post(
@@ -87,7 +86,7 @@ async def detect_deepstack(
         except UploadError as error:
             # The field is called frame in the estimator, image by DeepStack's clients.
             detail = f"image{str(error).removeprefix(error.field)}"
-            raise UploadError("image", error.reason, detail) from None
+            raise UploadError("image", detail, error.reason) from None
         return [
             DeepstackPrediction(
                 label="person",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel
 
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
@@ -53,20 +52,11 @@ def add_openapi(app: FastAPI) -> None:
     ``application/json``. Routes that take images refer to their forms by name because they parse
     them themselves.
     """
+    generate = app.openapi
 
     def openapi() -> dict[str, Any]:
         if app.openapi_schema is None:
-            document = get_openapi(
-                title=app.title,
-                version=app.version,
-                summary=app.summary,
-                description=app.description,
-                contact=app.contact,
-                license_info=app.license_info,
-                tags=app.openapi_tags,
-                servers=app.servers,
-                routes=app.routes,
-            )
+            document = generate()
             components = document["components"]
             components["headers"] = HEADERS
             for model in (Problem, CameraConfiguration, *_FORMS):
@@ -78,8 +68,7 @@ def add_openapi(app: FastAPI) -> None:
             for path in document["paths"].values():
                 for operation in path.values():
                     _mend_operation(operation)
-            app.openapi_schema = document
-        return app.openapi_schema
+        return generate()
 
     app.openapi = openapi  # type: ignore[method-assign]
 

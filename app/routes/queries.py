@@ -23,7 +23,7 @@ from app.api.schemas import (
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
-from app.http.errors import ProblemError
+from app.http.errors import invalid
 from app.messages import NUMBER, WHOLE_NUMBER, expected_name
 from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
@@ -86,14 +86,14 @@ def check_names(given: Iterable[str], known: Collection[str], kind: str) -> None
     for name in given:
         if name not in known:
             short = name[:_MAX_NAME_CHARACTERS]
-            raise ProblemError(422, f"{short}: {expected_name(short, known, kind)}", field=short)
+            raise invalid(short, expected_name(short, known, kind))
 
 
 def check_given_once(given: Iterable[str], unit: str) -> None:
     """Raise a 422 for the first name that occurs several times."""
     for name, count in Counter(given).items():
         if count > 1:
-            raise ProblemError(422, f"{name}: expected one {unit}, got {count}", field=name)
+            raise invalid(name, f"expected one {unit}, got {count}")
 
 
 class _Query(BaseModel):

@@ -18,7 +18,7 @@ from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_l
 from app.api.tracking_schemas import SequenceLine, VideoUpload
 from app.camera import CameraSession
 from app.film import VideoRun
-from app.http.errors import ProblemError
+from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
 from app.routes.openapi import documented, documented_form
@@ -26,7 +26,8 @@ from app.routes.queries import GivenOnce, SequenceQuery
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
-from app.video.reader import VideoFrame, VideoReader, new_file, open_video
+from app.video import Frame
+from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
 
@@ -68,7 +69,7 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
                 check_fields(form, VideoUpload.model_fields)
                 part = form.get("video")
                 if not isinstance(part, UploadFile):
-                    raise ProblemError(422, "video: expected a file, got none", field="video")
+                    raise invalid("video", "expected a file, got none")
                 await asyncio.to_thread(shutil.copyfileobj, part.file, file)
         else:
             raise unsupported_body(request, "multipart/form-data or video/*")
@@ -80,7 +81,7 @@ class _OpenVideo:
     """A video whose first frame could be read."""
 
     reader: VideoReader
-    first: VideoFrame
+    first: Frame
 
 
 async def _open(
@@ -139,9 +140,7 @@ async def analyse_sequence(
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
     if query.max_frames is not None and query.max_frames > most:
-        raise ProblemError(
-            422, f"max_frames: expected at most {most}, got {query.max_frames}", field="max_frames"
-        )
+        raise invalid("max_frames", f"expected at most {most}, got {query.max_frames}")
     estimator, metrics = runtime.ready_estimator(), runtime.metrics
     run = VideoRun(
         CameraSession(estimator),

@@ -21,7 +21,7 @@ from starlette.formparsers import MultiPartException, MultiPartParser
 from app.api.schemas import FrameUpload
 from app.api.tracking_schemas import MAX_TRACK_ID_CHARACTERS, TrackUpload
 from app.estimation.upload import Upload, UploadError
-from app.http.errors import ProblemError
+from app.http.errors import ProblemError, invalid
 from app.messages import expected_and_got, located, shortened
 from app.routes.openapi import documented_form
 from app.routes.queries import Timestamp, check_given_once, check_names
@@ -92,9 +92,7 @@ async def file_of(form: FormData, field: str) -> bytes | None:
     if isinstance(part, UploadFile):
         return None if not part.filename and not part.size else await part.read()
     if part:
-        raise ProblemError(
-            422, f"{field}: expected a file, which has a filename, got text", field=field
-        )
+        raise invalid(field, "expected a file, which has a filename, got text")
     return None
 
 
@@ -102,7 +100,7 @@ def text_of(form: FormData, field: str) -> str | None:
     """Return the text of a field, None if it is missing."""
     part = form.get(field)
     if isinstance(part, UploadFile):
-        raise ProblemError(422, f"{field}: expected text, got a file", field=field)
+        raise invalid(field, "expected text, got a file")
     return part
 
 
@@ -174,9 +172,7 @@ def _parse_timestamp(text: str) -> float:
     try:
         return _TIMESTAMP.validate_python(text)
     except ValidationError as error:
-        raise ProblemError(
-            422, f"timestamp: {expected_and_got(error.errors()[0])}", field="timestamp"
-        ) from None
+        raise invalid("timestamp", expected_and_got(error.errors()[0])) from None
 
 
 def _parse_boxes(text: str, settings: Settings) -> list[Box]:
@@ -184,7 +180,7 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     # waiting.
     count, most = text.count("[") - 1, settings.max_persons
     if count > most:
-        raise UploadError("boxes", "misfit", f"expected at most {most} persons, got {count}")
+        raise UploadError("boxes", f"expected at most {most} persons, got {count}")
     _check_length("boxes", text, settings)
     try:
         boxes = _BOXES.validate_json(text)
@@ -198,9 +194,7 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     for position, (_, _, width, height) in enumerate(boxes):
         if not (width > 0 and height > 0):
             got = f"box {position}: {boxes[position]}"
-            raise UploadError(
-                "boxes", "misfit", f"boxes: expected a positive width and height, got {got}"
-            )
+            raise UploadError("boxes", f"boxes: expected a positive width and height, got {got}")
     return [Box(*numbers) for numbers in boxes]
 
 
@@ -208,7 +202,7 @@ def _check_length(field: str, text: str, settings: Settings) -> None:
     most = settings.max_persons * _MAX_ITEM_CHARACTERS
     if len(text) > most:
         longest = f"a list of at most {most} characters"
-        raise UploadError(field, "misfit", f"{field}: expected {longest}, got {len(text)}")
+        raise UploadError(field, f"{field}: expected {longest}, got {len(text)}")
 
 
 def _parse_track_ids(text: str, settings: Settings) -> list[str]:
@@ -216,10 +210,8 @@ def _parse_track_ids(text: str, settings: Settings) -> list[str]:
     try:
         return [str(track_id) for track_id in _TRACK_IDS.validate_json(text)]
     except ValidationError:
-        raise ProblemError(
-            422,
-            "track_ids: expected a JSON list of texts of 1 to "
-            f"{MAX_TRACK_ID_CHARACTERS} characters or whole numbers of 64 bits, "
-            f"got {shortened(text)}",
-            field="track_ids",
+        raise invalid(
+            "track_ids",
+            f"expected a JSON list of texts of 1 to {MAX_TRACK_ID_CHARACTERS} characters or whole "
+            f"numbers of 64 bits, got {shortened(text)}",
         ) from None

@@ -49,7 +49,7 @@ def write_frames(file: BinaryIO, stride: int, max_pixels: int, out: BinaryIO) ->
     """Decode a file and write every ``stride``-th frame.
 
     The line before a frame's pixels has ``width``, ``height``, and the other fields of
-    :class:`app.video.reader.VideoFrame`. The last line has ``end``: null if the video is complete,
+    :class:`app.video.Frame`. The last line has ``end``: null if the video is complete,
     what was found if not. If a frame has more than ``max_pixels``, the last line is its size.
     """
 
@@ -59,15 +59,9 @@ def write_frames(file: BinaryIO, stride: int, max_pixels: int, out: BinaryIO) ->
 
     try:
         for frame in Video(file, _OPTIONS).frames(stride, max_pixels):
-            height, width = frame.pixels.shape[:2]
-            write(
-                width=width,
-                height=height,
-                number=frame.number,
-                timestamp=frame.timestamp,
-                pixel_aspect=frame.pixel_aspect,
-                damaged=frame.damaged,
-            )
+            fields = frame._asdict()
+            height, width = fields.pop("pixels").shape[:2]
+            write(width=width, height=height, **fields)
             out.write(frame.pixels.data)
         write(end=None)
     except TooLargeError as error:

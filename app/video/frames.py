@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from typing import IO, NamedTuple
+from typing import IO
 
 import av
 
@@ -20,7 +20,7 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from app.video import MIN_STEP_S
+from app.video import MIN_STEP_S, Frame
 
 # A frame rate above the maximum is treated as wrong and replaced by the default.
 _DEFAULT_FPS = 25.0
@@ -46,21 +46,6 @@ class TooLargeError(ValueError):
     def __init__(self, width: int, height: int) -> None:
         super().__init__(f"{width}x{height}")
         self.width, self.height = width, height
-
-
-class Frame(NamedTuple):
-    """A frame of a video: its number from 0, and the upright picture ``(H, W, 3)``, BGR.
-
-    ``timestamp`` is in seconds since the first frame, and ascends. A frame is damaged if data is
-    missing or wrong, in it or in one that it builds on. ``pixel_aspect`` is the width over the
-    height of a pixel of the upright picture.
-    """
-
-    number: int
-    timestamp: float
-    damaged: bool
-    pixel_aspect: float
-    pixels: NDArray[np.uint8]
 
 
 class Video:
@@ -128,7 +113,7 @@ class Video:
             if number % stride == 0:
                 _check_size(picture.width, picture.height, max_pixels)
                 aspect, pixels = self._aspect(picture), self._upright(picture)
-                yield Frame(number, timestamp, picture.opaque == [True], aspect, pixels)
+                yield Frame(number, timestamp, pixels, aspect, picture.opaque == [True])
         if self._is_cut_off:
             where = f"after {count} frames" if count else "before its first frame"
             raise UnreadableError(f"one that is cut off or damaged {where}")

@@ -10,12 +10,12 @@ import sys
 import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+
+from app.video import Frame
 
 _FRAME_TIMEOUT_S = 20.0
 _LAST_LINE_TIMEOUT_S = 1.0
@@ -34,31 +34,6 @@ class VideoError(ValueError):
     def __init__(self, reason: Literal["undecodable", "too_large"], message: str) -> None:
         super().__init__(message)
         self.reason = reason
-
-
-@dataclass(frozen=True)
-class VideoFrame:
-    """A frame of a video.
-
-    Parameters
-    ----------
-    number : int
-        Number in the video, from 0; skipped frames are included.
-    timestamp : float
-        Seconds since the video began; ascends.
-    pixels : (H, W, 3) uint8 array
-        BGR.
-    pixel_aspect : float
-        Width over height of a pixel.
-    damaged : bool
-        Whether data of the picture is missing or wrong.
-    """
-
-    number: int
-    timestamp: float
-    pixels: NDArray[np.uint8]
-    pixel_aspect: float = 1.0
-    damaged: bool = False
 
 
 def new_file() -> IO[bytes]:
@@ -133,7 +108,7 @@ class VideoReader:
         self._timeout_s = timeout_s
         self._read = 0
 
-    async def next(self) -> VideoFrame | None:
+    async def next(self) -> Frame | None:
         """The next frame; None at the end.
 
         Raises
@@ -149,7 +124,7 @@ class VideoReader:
         except TimeoutError:
             raise self._broken(f"no frame within {self._timeout_s:g} seconds") from None
 
-    async def _next(self) -> VideoFrame | None:
+    async def _next(self) -> Frame | None:
         head = json.loads(await self._stream.readuntil(b"\n"))
         if "end" in head:
             if head["end"] is None:
@@ -165,7 +140,7 @@ class VideoReader:
         pixels = await self._stream.readexactly(width * height * 3)
         self._read += 1
         picture = np.frombuffer(pixels, np.uint8).reshape(height, width, 3)
-        return VideoFrame(pixels=picture, **head)
+        return Frame(pixels=picture, **head)
 
     def _broken(self, found: str) -> VideoError:
         """The error for a video that ends early."""

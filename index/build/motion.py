@@ -11,10 +11,8 @@ ours. Joints left out have our names in the files.
 from __future__ import annotations
 
 import csv
-import json
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -22,6 +20,7 @@ import numpy as np
 import pybvh
 from numpy.typing import NDArray
 from pybvh.rotations import euler_to_rotmat
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 RIG_FILE = "rig.json"
 
@@ -43,44 +42,32 @@ class MotionError(ValueError):
     """Motion data that cannot be used; the message names the file and what is wrong."""
 
 
-@dataclass(frozen=True)
-class Rig:
-    """How the joints of some BVH files correspond to ours.
+class Rig(BaseModel):
+    """How the joints of some BVH files correspond to ours, and their unit of length.
 
     ``joints`` has joints of the files by the names of ours; those left out have the same name.
     """
 
-    joints: Mapping[str, str] = field(default_factory=dict)
-    metres_per_unit: float = METRES_PER_UNIT
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    joints: dict[str, str] = {}
+    metres_per_unit: float = Field(default=METRES_PER_UNIT, gt=0, allow_inf_nan=False)
 
 
 CMU = Rig()
 
 
 def read_rig(folder: Path) -> Rig:
-    """Read the rig of a motion folder; CMU's where it names none.
-
-    Raises
-    ------
-    MotionError
-        If its file is malformed.
-    """
+    """Read the rig of a motion folder, CMU's where it names none; raise :class:`MotionError`."""
     file = Path(folder) / RIG_FILE
     if not file.exists():
         return CMU
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
-        joints, unit = values.get("joints", {}), values.get("metres_per_unit", METRES_PER_UNIT)
-        unknown = set(values).difference(("joints", "metres_per_unit"))
-        if unknown:
-            raise ValueError(f"{', '.join(sorted(unknown))} is not known")
-        if not all(isinstance(name, str) for name in joints.values()):
-            raise ValueError("joints names something that is not a joint")
-        if not (isinstance(unit, int | float) and 0 < unit < float("inf")):
-            raise ValueError(f"expected metres_per_unit above 0, got {unit!r}")
-    except (OSError, AttributeError, ValueError) as error:
-        raise MotionError(f"{file} does not describe a rig: {error}") from error
-    return Rig(dict(joints), float(unit))
+        return Rig.model_validate_json(file.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the file"
+        raise MotionError(f"{file} does not describe a rig: {place}: {first['msg']}") from error
 
 
 MANIFESTS = ("manifest.csv", "manifest-ground.csv")

@@ -36,7 +36,7 @@ class FakeSession:
         job.checkpoint()
         self.while_working()
         if upload.frame == b"broken":
-            raise UploadError("frame", "undecodable", "frame: expected an image")
+            raise UploadError("frame", "frame: expected an image", "undecodable")
         self.memory_bytes = n * 1000
         self.frames += 1
         return TrackedFrame(

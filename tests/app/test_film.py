@@ -16,13 +16,14 @@ from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.video.reader import VideoError, VideoFrame
+from app.video import Frame
+from app.video.reader import VideoError
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from index.posture import PostureName
 from index.search import UnavailableError
 
-FRAMES = [VideoFrame(2 * n, n / 10, np.zeros((40, 60, 3), np.uint8)) for n in range(3)]
+FRAMES = [Frame(2 * n, n / 10, np.zeros((40, 60, 3), np.uint8)) for n in range(3)]
 
 
 @pytest.fixture
@@ -35,7 +36,7 @@ def executor() -> Iterator[Executor]:
 async def run(
     drawn: Estimator,
     executor: Executor,
-    last: VideoFrame | Exception | None = None,
+    last: Frame | Exception | None = None,
     *,
     max_frames: int = 9,
     timeout_s: float = 9.0,
@@ -46,7 +47,7 @@ async def run(
     frames = iter([*FRAMES[1:], last])
     lines: list[bytes] = []
 
-    async def read() -> VideoFrame | None:
+    async def read() -> Frame | None:
         frame = next(frames)
         if isinstance(frame, Exception):
             raise frame
@@ -84,7 +85,7 @@ async def test_every_frame_has_a_line(drawn: Estimator, executor: Executor) -> N
         ({"ends_at": 1}, 1, "shutdown", "being stopped"),
         ({"last": VideoError("undecodable", "video: cut off")}, 3, "broken", "video: cut off"),
         (
-            {"failure": UploadError("frame", "too_large", "frame: too large")},
+            {"failure": UploadError("frame", "frame: too large", "too_large")},
             1,
             "broken",
             "too large",

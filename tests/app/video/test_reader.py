@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.video.reader import VideoError, VideoFrame, VideoReader, new_file, open_video
+from app.video import Frame
+from app.video.reader import VideoError, VideoReader, new_file, open_video
 from tests.support.videos import numbered_frames, write_video
 
 pytestmark = pytest.mark.anyio
@@ -45,7 +46,7 @@ async def test_decoder_that_stops_is_reported() -> None:
     with pytest.raises(VideoError, match=r"a video \(AVI, .*\), got .* gave up"):
         await reading().next()
     reader = reading(PICTURE, PICTURE[:-1])
-    assert isinstance(await reader.next(), VideoFrame)
+    assert isinstance(await reader.next(), Frame)
     with pytest.raises(VideoError, match=r"the whole video, got .* gave up"):
         await reader.next()
 
