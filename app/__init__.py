@@ -1,6 +1,7 @@
 """The service: HTTP, images, and one use case: a frame in, persons with hypotheses out."""
 
 import os
+from importlib.metadata import PackageNotFoundError, version
 
 # Frames are worked on in parallel. Threads within NumPy and FAISS would only compete for the same
 # cores, and make FAISS slower and inexact for a single query. Both read this when imported.
@@ -8,3 +9,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A broken image is answered with a 400; OpenCV's own messages would fill the log.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+
+try:
+    VERSION = version("silhouette-pose")
+except PackageNotFoundError:  # The checkout was never installed.
+    VERSION = "0.0.0"

@@ -11,15 +11,15 @@ import errno
 import signal
 import socket
 import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
-import uvicorn
-
-from app.http.access_log import log_config
-from app.serving.loading import read_cameras
-from app.serving.runtime import VERSION
+from app import VERSION
+from app.scheduling.process import configure_process
 from app.settings import Settings, SettingsError, read_settings
-from app.vision.models import check_networks
-from app.vision.tflite import NetworkError
+from index.artefact import load_index
+from index.store import PoseIndex
 
 SHUTDOWN_GRACE_S = 15
 # This is longer than the interval of a camera that sends a frame a minute.
@@ -38,20 +38,36 @@ def main() -> None:
     try:
         settings = read_settings()
         check_address(settings.host, settings.port)
+    except SettingsError as error:
+        sys.exit(str(error))
+    configure_process()
+    # While this thread imports the rest of the service, another one reads the index.
+    with ThreadPoolExecutor(1) as pool:
+        own = settings.workers == 1 and settings.milvus is None
+        serve(settings, pool.submit(load_index, settings.index).result if own else None)
+
+
+def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None) -> None:
+    """Check the files of the service and run the server."""
+    import uvicorn
+
+    from app.http.access_log import log_config
+    from app.main import create_app
+    from app.serving.loading import read_cameras
+    from app.vision.models import check_networks
+    from app.vision.tflite import NetworkError
+
+    try:
         check_networks()
         read_cameras(settings.cameras_file)
     except (SettingsError, NetworkError) as error:
         sys.exit(str(error))
-    serve(settings)
-
-
-def serve(settings: Settings) -> None:
-    """Run the server."""
     # Once it has shut down, uvicorn raises the signal again for the handlers that it found here.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
+    create = partial(create_app, settings, read_index=read_index)
     uvicorn.run(
-        "app.main:create_app",
+        create if settings.workers == 1 else "app.main:create_app",
         factory=True,
         host=settings.host,
         port=settings.port,

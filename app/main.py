@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial
 
@@ -12,6 +12,7 @@ from fastapi.middleware.cors import CORSMiddleware
 from fastapi.middleware.gzip import GZipMiddleware
 from starlette.types import Scope
 
+from app import VERSION
 from app.camera import CameraSession
 from app.cameras import CameraSessions
 from app.http.access_log import AccessLogMiddleware
@@ -27,8 +28,9 @@ from app.routes.openapi import SERVERS, TAGS, add_openapi
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process, trim_heap
 from app.serving.loading import become_ready, keep_index_loaded, read_cameras
-from app.serving.runtime import VERSION, Runtime
+from app.serving.runtime import Runtime
 from app.settings import Settings, read_settings
+from index.store import PoseIndex
 
 # Compressing a smaller answer saves less than a packet.
 GZIP_FROM_BYTES = 1400
@@ -56,7 +58,11 @@ Errors are `application/problem+json` (RFC 9457).
 """
 
 
-def create_app(settings: Settings | None = None, estimator: Estimator | None = None) -> FastAPI:
+def create_app(
+    settings: Settings | None = None,
+    estimator: Estimator | None = None,
+    read_index: Callable[[], PoseIndex] | None = None,
+) -> FastAPI:
     """Assemble the service.
 
     Parameters
@@ -65,6 +71,8 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         Read from the environment by default.
     estimator : Estimator, optional
         By default it is loaded while the service already answers probes.
+    read_index : function, optional
+        Where the estimator is to have its index from, instead of the folder in the settings.
     """
     settings = settings or read_settings()
     executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
@@ -93,7 +101,7 @@ def create_app(settings: Settings | None = None, estimator: Estimator | None = N
         configure_process()
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
-                tasks.start_soon(keep_index_loaded, runtime)
+                tasks.start_soon(keep_index_loaded, runtime, read_index)
             tasks.start_soon(_tidy_up, runtime)
             yield
             tasks.cancel_scope.cancel()

@@ -7,6 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import Response
 
+from app import VERSION
 from app.api.overlay import encode_png
 from app.api.replies import entry_reply, index_reply
 from app.api.schemas import EntryResponse, IndexResponse
@@ -17,7 +18,7 @@ from app.photograph import Estimator
 from app.routes.openapi import documented
 from app.routes.pose import PNG
 from app.routes.queries import EntryQuery, GivenOnce, NoQuery
-from app.serving.runtime import VERSION, EstimatorDep, runtime_of
+from app.serving.runtime import EstimatorDep, runtime_of
 
 router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, GivenOnce])
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ from typing import Annotated
 import anyio
 from pydantic import StringConstraints, TypeAdapter, ValidationError
 
+from app import VERSION
 from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSettings
@@ -23,7 +25,7 @@ from app.scheduling.process import (
     native_lines_logged,
     trim_heap,
 )
-from app.serving.runtime import VERSION, Runtime
+from app.serving.runtime import Runtime
 from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError, load_index
@@ -68,8 +70,10 @@ POLL_S = 3.0
 """Interval at which Milvus is polled for the published index."""
 
 
-def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estimator:
-    """Load the networks, and the index from the folder in the settings unless it is given.
+def load_estimator(
+    settings: Settings, read_index: Callable[[], PoseIndex] | None = None
+) -> Estimator:
+    """Load the networks and the index, by default from the folder in the settings.
 
     Raises
     ------
@@ -80,7 +84,7 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     """
     with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
         models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
-        index = load_index(settings.index) if index is None else index
+        index = read_index() if read_index else load_index(settings.index)
     match(index, index.silhouette(0), 1)  # The first search is slow.
     return Estimator(
         index,
@@ -91,12 +95,14 @@ def load_estimator(settings: Settings, index: PoseIndex | None = None) -> Estima
     )
 
 
-async def keep_index_loaded(runtime: Runtime) -> None:
+async def keep_index_loaded(
+    runtime: Runtime, read_index: Callable[[], PoseIndex] | None = None
+) -> None:
     """Get the service ready; with Milvus, serve the index that is published there, always."""
     if runtime.settings.milvus is None:
         # Loading runs in a thread of the executor, since the networks' own threads inherit its low
         # priority.
-        loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, None))
+        loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, read_index))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
         return
@@ -126,9 +132,9 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     )
 
 
-def _prepare_estimator(runtime: Runtime, index: PoseIndex | None) -> Estimator:
+def _prepare_estimator(runtime: Runtime, read_index: Callable[[], PoseIndex] | None) -> Estimator:
     with native_lines_logged(log):
-        estimator = load_estimator(runtime.settings, index)
+        estimator = load_estimator(runtime.settings, read_index)
     freeze_loaded_objects()
     trim_heap()
     return estimator
@@ -144,7 +150,7 @@ def _published_estimator(runtime: Runtime) -> Estimator | None:
     index = load_published(settings.milvus, settings.index, known)
     if index is None:
         return None
-    return before.with_index(index) if before else _prepare_estimator(runtime, index)
+    return before.with_index(index) if before else _prepare_estimator(runtime, lambda: index)
 
 
 async def _become_ready_or_say_why(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Annotated, TypeVar, cast
 
 from fastapi import Depends, Request
@@ -23,17 +22,6 @@ T = TypeVar("T")
 
 _LOADED_IN_S = 2
 _SEQUENCE_RETRY_S = 10
-
-
-def _version() -> str:
-    try:
-        return version("silhouette-pose")
-    except PackageNotFoundError:  # The checkout was never installed.
-        return "0.0.0"
-
-
-VERSION = _version()
-"""Version of the service, as it was packaged."""
 
 
 @dataclass

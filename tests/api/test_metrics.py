@@ -4,8 +4,8 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
+from app import VERSION
 from app.scheduling.queue import FairQueue, OverloadedError
-from app.serving.runtime import VERSION
 from tests.conftest import Photo, Serving
 from tests.support.service import sample, samples, send
 

@@ -5,7 +5,7 @@ import sys
 
 import pytest
 
-from app.serving.runtime import VERSION
+from app import VERSION
 from app.settings import Settings, SettingsError, read_settings
 from tests.support.programs import output_of, run
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from app.serving.runtime import VERSION
+from app import VERSION
 from app.vision.models import MODELS
 from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until

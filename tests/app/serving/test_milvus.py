@@ -58,7 +58,7 @@ def milvus(
     monkeypatch.setitem(sys.modules, "index.milvus", module)
     monkeypatch.setattr(loading, "POLL_S", 0.01)
     # The networks are loaded already.
-    monkeypatch.setattr(loading, "load_estimator", lambda _, index: estimator.with_index(index))
+    monkeypatch.setattr(loading, "load_estimator", lambda _, read: estimator.with_index(read()))
     return fake
 
 
