@@ -4,8 +4,6 @@ After SIGTERM or Ctrl-C it finishes the accepted requests and exits with status 
 invalid or the address cannot be used, it exits at once with status 1 and one sentence.
 """
 
-from __future__ import annotations
-
 import argparse
 import errno
 import signal

@@ -1,7 +1,5 @@
 """The cameras of a service: their settings, and sessions within limits of number and memory."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import Counter, deque

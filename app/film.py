@@ -1,7 +1,5 @@
 """One video: its frames go through a camera session in order, until it ends with a summary."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import AsyncGenerator, Callable, Hashable

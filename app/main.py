@@ -1,7 +1,5 @@
 """The application: its assembly, start and shutdown."""
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from functools import partial

@@ -1,7 +1,5 @@
 """Wording of validation errors: what was expected, and what was given instead."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping
 from difflib import get_close_matches

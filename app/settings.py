@@ -1,7 +1,5 @@
 """The settings, read from the environment (``POSE_...``, ``HOST``, ``PORT``, ``WORKERS``)."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Mapping

@@ -6,8 +6,6 @@ References
    Single 2D Silhouette", VISAPP 2016.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Protocol, cast

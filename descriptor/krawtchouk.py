@@ -8,8 +8,6 @@ References
    polynomials and its q-analogue", section 1.10 (recurrence and norm).
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """Silhouettes: normalised to 128x48, rotated, compared by their outlines, packed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

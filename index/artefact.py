@@ -5,8 +5,6 @@ Beside the index may lie a network that re-ranks hypotheses: ``reranking.npz`` h
 by distance alone.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

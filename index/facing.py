@@ -4,8 +4,6 @@ A silhouette fits a pose and its reflection in depth equally well, and landmarks
 depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -7,8 +7,6 @@ alias names the collection to search; :mod:`scripts.publish` moves it, only to a
 Only what needs Milvus imports this module: pymilvus takes a second and 60 MB.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -5,8 +5,6 @@ in the order of the table in ``docs/index.md``; the first that holds decides. Th
 *person* follows from the votes of skeletons: :mod:`app.estimation.posture`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, get_args
 

@@ -4,8 +4,6 @@ A silhouette does not show what lies inside its outline, and landmarks do not sh
 search finds entries that the other misses.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The index in memory: entries, their skeletons and silhouettes, and the search; immutable."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import Any

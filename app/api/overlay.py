@@ -1,7 +1,5 @@
 """Pictures of the people in a frame: the overlay and the label image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

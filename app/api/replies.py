@@ -1,7 +1,5 @@
 """Estimates, tracked frames, sessions and videos as models of the public contract."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass

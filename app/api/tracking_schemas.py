@@ -1,7 +1,5 @@
 """The public contract of camera sessions and videos; see :mod:`app.api.schemas` for the rest."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

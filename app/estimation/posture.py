@@ -6,8 +6,6 @@ landmarks, the six decide, and the votes split them into finer ones; without lan
 of the votes are calibrated. Over the frames of a track, both are averaged.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Results of the estimator: people as observed, with the poses that fit them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

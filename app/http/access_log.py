@@ -1,7 +1,5 @@
 """An id, a log line and a count in the metrics for every request; never its content."""
 
-from __future__ import annotations
-
 import json
 import logging
 import re

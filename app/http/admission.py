@@ -5,8 +5,6 @@ refused upload costs neither parsing nor memory, so under overload the cores are
 frames.
 """
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

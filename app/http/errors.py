@@ -1,7 +1,5 @@
 """Every error as ``application/problem+json`` (RFC 9457), never a stack trace."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any

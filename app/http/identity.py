@@ -1,7 +1,5 @@
 """The identity of a request: its caller, by API key or address, and the camera that it names."""
 
-from __future__ import annotations
-
 import hmac
 import re
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Counters, gauges and histograms of the service, for Prometheus."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 

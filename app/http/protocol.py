@@ -5,8 +5,6 @@ httptools bounds what comes around a body, and the service may face clients with
 between.
 """
 
-from __future__ import annotations
-
 import asyncio
 import sys
 from http import HTTPStatus

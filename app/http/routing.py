@@ -1,7 +1,5 @@
 """The paths and methods of the service: for logs, metrics, suggestions and HEAD."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from contextvars import ContextVar

@@ -1,7 +1,5 @@
 """Camera sessions: the frames of fixed cameras, in order, and the people in them over time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated

@@ -1,7 +1,5 @@
 """DeepStack's detection protocol, which Frigate, Blue Iris and Home Assistant speak."""
 
-from __future__ import annotations
-
 import time
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The index: its content, and single entries."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request

@@ -1,7 +1,5 @@
 """Frames in: poses, pictures of them, silhouettes."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request

@@ -1,7 +1,5 @@
 """Query parameters of the routes; nothing that a client sends is silently ignored."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Videos, answered line by line while they are worked on."""
 
-from __future__ import annotations
-
 import asyncio
 import shutil
 from collections.abc import AsyncIterator

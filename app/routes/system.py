@@ -1,7 +1,5 @@
 """Probes, metrics, the debug page and the API's documentation page."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from pathlib import Path
 from typing import Any

@@ -7,8 +7,6 @@ form model with an optional file is described as URL-encoded in the OpenAPI docu
 Limits on size and time are enforced earlier, in :mod:`app.http.admission`.
 """
 
-from __future__ import annotations
-
 from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from typing import Annotated, NamedTuple

@@ -12,8 +12,6 @@ Parts (:meth:`Executor.map`)
 Work on a frame must not start another frame: it would wait for a thread that may never be free.
 """
 
-from __future__ import annotations
-
 import asyncio
 import time
 from collections.abc import Callable, Coroutine, Hashable, Iterable

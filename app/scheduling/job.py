@@ -3,8 +3,6 @@
 Work in a thread cannot be stopped from outside, so it checks now and then whether to continue.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

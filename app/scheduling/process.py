@@ -8,8 +8,6 @@ Priorities: one thread answers requests, others work on frames. The first has li
 every client waits for it, so it takes precedence.
 """
 
-from __future__ import annotations
-
 import ctypes
 import gc
 import logging

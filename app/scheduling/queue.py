@@ -18,8 +18,6 @@ References
    SIGCOMM 1989.
 """
 
-from __future__ import annotations
-
 import asyncio
 import heapq
 import itertools

@@ -1,7 +1,5 @@
 """Loads the index once the service answers probes; with Milvus, also later versions of it."""
 
-from __future__ import annotations
-
 import asyncio
 import logging
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The state of a running service, shared by its routes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What a picture shows of a person: colours that tell people apart, and their place."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Self

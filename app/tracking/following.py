@@ -6,8 +6,6 @@ find new people and to check the tracks: MoveNet, which needs no window, finds p
 have drifted off. While nothing changes around tracked people, searches are rarer.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

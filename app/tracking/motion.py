@@ -6,8 +6,6 @@ for people who are small or seen from the side; but people turn gradually, and m
 direction they face.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Results of tracking for a frame: people with identities, smoothed poses, actions, events."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

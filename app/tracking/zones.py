@@ -1,7 +1,5 @@
 """Zones of a camera's picture: those that a person is in, enters and leaves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

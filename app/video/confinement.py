@@ -1,7 +1,5 @@
 """The limits of the process that decodes a video: it computes, reads what is open, and writes."""
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

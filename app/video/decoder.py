@@ -5,8 +5,6 @@ harm the service, which kills it when it is late or no longer wanted. The progra
 frame, a line of JSON and its BGR pixels, and at the end another line.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """The frames of a video as its maker meant them, decoded by FFmpeg (PyAV)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from itertools import groupby

@@ -1,7 +1,5 @@
 """Silhouettes of people, as the differences from a picture of the empty scene."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

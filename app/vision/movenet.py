@@ -10,8 +10,6 @@ References
 .. [2] X. Zhou, D. Wang, P. Krähenbühl, "Objects as Points", 2019.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Probabilities, from log odds and scores, and back."""
 
-from __future__ import annotations
-
 from typing import TypeVar
 
 import numpy as np

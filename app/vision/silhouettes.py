@@ -4,8 +4,6 @@ They come from the landmark network's masks or a caller's mask. A body is trunca
 border or another person cuts it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

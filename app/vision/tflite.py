@@ -1,7 +1,5 @@
 """A network stored as TFLite, run by LiteRT."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path

@@ -4,8 +4,6 @@ Body axes as in :mod:`index.skeleton`, which are MakeHuman's own: x to the perso
 y up, z forward; metres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any

@@ -5,8 +5,6 @@ of three vertices of the base mesh plus an offset, which is scaled, axis by axis
 apart two named vertices of this body are against the reference body.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -8,8 +8,6 @@ A motion folder whose BVH files are not CMU's holds a ``rig.json``::
 ours. Joints left out have our names in the files.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ the body, and hands, feet and heads are cut off. The shares and sizes below are 
 service's own silhouettes beside the true ones, on street photographs and indoors.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

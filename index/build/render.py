@@ -3,8 +3,6 @@
 A silhouette is the union of projected triangles, so no depth is needed.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray

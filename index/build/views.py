@@ -1,7 +1,5 @@
 """Virtual cameras on a hemisphere, and the bodies that they see."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Writing an index: its silhouettes compressed, its folder whole or not at all."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

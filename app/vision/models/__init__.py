@@ -4,8 +4,6 @@
 gives the constants, with the command that fits them and the data they were fitted to.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from functools import cache
