@@ -105,7 +105,7 @@ def test_one_thread_and_two_give_the_same_answer(
     executor = Executor(frames=2, max_wait_s=60, timeout_s=60)
     for threads, job in ((1, Job()), (2, Job(parallel_map=executor.map))):
         monkeypatch.setattr("app.photograph.available_cores", lambda t=threads: t)
-        estimator = load_estimator(settings, tiny_index)
+        estimator = load_estimator(settings, lambda: tiny_index)
         people = estimator.estimate(Upload(STREET), 7, job).persons
         answers.append([(h.entry_id, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip
