@@ -18,7 +18,12 @@ from app.vision.detector import NetworkDetector, smallest_person_px
 from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import PhotographModels
 from app.vision.people import Detection, Silhouette
-from app.vision.person_reader import MIN_PRESENCE, PersonReader, attenuate_visibility_at_border
+from app.vision.person_reader import (
+    MIN_PRESENCE,
+    PersonReader,
+    attenuate_visibility_at_border,
+    reading_quality,
+)
 from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
 
 
@@ -58,6 +63,9 @@ Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 _MARKED: tuple[Source, ...] = ("boxes", "mask")
 """Sources in which the caller says who is a person."""
 
+# Share of the detections that were not certain but were read beside others that show a person, in
+# rendered groups.
+_READ_BESIDE_SCORE = 0.8
 # Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
 # and toes.
 _BODY_MARGIN = 0.1
@@ -129,13 +137,16 @@ class PeopleFinder:
     ) -> list[PoseReading | None]:
         """Read landmarks of people, and masks if wanted.
 
-        None stands where a track's window shows nobody any more.
+        None stands where a track's window shows nobody any more, and for detections that are not
+        certain.
         """
         reader = self.models.reader
 
         def read(target: Target) -> PoseReading | None:
             expected, found = target.expected, target.detection
             reading: PoseReading | None
+            if found is not None and not found.certain:
+                return None
             if found is None and isinstance(expected, PoseReading):
                 reading = expected
             elif found is None and isinstance(expected, PersonWindow):
@@ -145,10 +156,13 @@ class PeopleFinder:
                 reading = reader.read(frame, found.box, found.keypoints, found.windows, expected)
             if reading is None:
                 return None
-            return reader.with_mask(reading) if masks else replace(reading, mask_inputs=())
+            return self._finished(reading, masks)
 
         with job.stage("keypoints"):
             return job.map(read, targets)
+
+    def _finished(self, reading: PoseReading, masks: bool) -> PoseReading:
+        return self.models.reader.with_mask(reading) if masks else replace(reading, mask_inputs=())
 
     def observe(
         self,
@@ -184,7 +198,11 @@ class PeopleFinder:
         readings: list[PoseReading | None] = [None] * len(targets)
         if reads:
             readings = self.read(frame, targets, job, masks=cut is None)
-        rows = distinct(targets, readings) if reads and not marked else [*range(len(targets))]
+        rows = [*range(len(targets))]
+        if reads and not marked:
+            rows = distinct(targets, readings)
+            rows += self._read_beside(frame, targets, readings, rows, job, masks=cut is None)
+            rows.sort()
         boxes = [_box(targets[row], readings[row]) for row in rows]
         with job.stage("segment"):
             read = [reading for row in rows if (reading := readings[row])]
@@ -200,9 +218,44 @@ class PeopleFinder:
                 continue  # A detection without a silhouette is unlikely to be a person.
             if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
                 box = silhouette.box
-            person = Person(box, source, targets[row].score, silhouette)
+            score, detection = targets[row].score, targets[row].detection
+            if score is not None and detection is not None and not detection.certain:
+                score = max(score, _READ_BESIDE_SCORE)
+            person = Person(box, source, score, silhouette)
             people[row] = self._with_reading(person, reading, upload, landmarks)
         return people
+
+    def _read_beside(
+        self,
+        frame: NDArray[np.uint8],
+        targets: Sequence[Target],
+        readings: list[PoseReading | None],
+        kept: Sequence[int],
+        job: Job,
+        *,
+        masks: bool,
+    ) -> list[int]:
+        """Read detections that are not certain, and those whose readings show the bodies of others.
+
+        The network looks at the person who is most apparent in a window. MoveNet's keypoints of the
+        detection show whether there is another one. Returns the rows of new bodies.
+        """
+        bodies = [reading for row in kept if (reading := readings[row])]
+        rows = []
+        for row, target in enumerate(targets):
+            detection = target.detection
+            if row in kept or detection is None or detection.keypoints is None:
+                continue
+            with job.stage("keypoints"):
+                reading = self.models.reader.read_beside(
+                    frame, target.box, detection.keypoints, bodies
+                )
+                if reading is None or len(distinct_bodies([*bodies, reading])) == len(bodies):
+                    continue
+                readings[row] = self._finished(reading, masks)
+            bodies.append(reading)
+            rows.append(row)
+        return rows
 
     def _with_reading(
         self, person: Person, reading: PoseReading | None, upload: DecodedUpload, landmarks: bool
@@ -246,15 +299,16 @@ def _box(target: Target, reading: PoseReading | None) -> Box:
 def distinct(targets: Sequence[Target], readings: Sequence[PoseReading | None]) -> list[int]:
     """Rows of one reading of each body, in order: a detection's rather than a track's.
 
-    Of two detections the better one is kept, of two tracks the one whose box is nearer to the body.
+    Of two detections the one whose keypoints the reading fits better is kept, of two tracks the one
+    whose box is nearer to the body.
     """
     read = {row: reading for row, reading in enumerate(readings) if reading is not None}
 
     def rank(row: int) -> tuple[float, float]:
         target = targets[row]
         if target.detection is not None:
-            return -target.detection.score, 0.0
-        return 0.0, -target.box.iou(read[row].landmarks.box())
+            return -reading_quality(read[row], target.detection.keypoints), 0.0
+        return 1.0, -target.box.iou(read[row].landmarks.box())
 
     order = sorted(read, key=rank)
     return sorted(order[i] for i in distinct_bodies([read[row] for row in order]))

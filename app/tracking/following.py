@@ -93,6 +93,9 @@ class TrackedPeopleDetector:
         unseen = dict(expected)
         targets: list[tuple[Target, Track | None]] = []
         for one in found:
+            if not one.certain:
+                targets.append((Target(one.box, one.score, one), None))
+                continue
             overlap = {track: track.box_filter.predict(timestamp).iou(one.box) for track in unseen}
             track = max(overlap, key=lambda other: overlap[other], default=None)
             same = track is not None and overlap[track] >= _MIN_TRACK_IOU

@@ -41,6 +41,8 @@ _LARGE_PERSON_PX = 96.0
 _SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
 # Overlap from which two boxes show one person; two people side by side reach 0.3.
 _NMS_IOU = 0.4
+# Probability from which a person close to others may be one of whom these hide a part.
+_MIN_HIDDEN_PROBABILITY = 0.15
 _MIN_MOVENET_SCORE = 0.02  # MoveNet's lower scores are ignored.
 _MIN_BODY_SCORE = 0.3  # Least score of BlazePose's detector.
 # Presence from which a detection of BlazePose alone is a person: walls and trees stay below 0.1,
@@ -86,22 +88,31 @@ class NetworkDetector:
     def detect(
         self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
     ) -> list[Detection]:
-        """Find the people of a frame ``(H, W, 3)``, BGR; best first.
+        """Find the people of a frame ``(H, W, 3)``, BGR; best first, those not certain last.
 
         ``expected_boxes`` surround people who were there a moment ago and were not seen to leave.
         """
-        detections, scores = self.candidates(frame)
+        detections, scores = self._candidates(frame)
         odds = detection_odds(scores)
         for box in expected_boxes:
-            near = [i for i, one in enumerate(detections) if _may_be(one.box, box)]
+            near = [i for i, one in enumerate(detections) if one.certain and _may_be(one.box, box)]
             if near:
                 odds[max(near, key=lambda i: odds[i])] += _EXPECTED_LOG_ODDS
-        found = [
-            replace(detection, score=probability)
-            for detection, probability in zip(detections, sigmoid(odds).tolist(), strict=True)
-            if probability >= self._min_score
+        judged = [
+            replace(one, score=score, certain=one.certain and score >= self._min_score)
+            for one, score in zip(detections, sigmoid(odds).tolist(), strict=True)
         ]
-        return sorted(found, key=lambda detection: -detection.score)
+        certain = [one for one in judged if one.certain]
+        close = [
+            one
+            for one in judged
+            if not one.certain
+            and one.score >= _MIN_HIDDEN_PROBABILITY
+            and any(one.box.intersection(other.box) > 0 for other in certain)
+        ]
+        return [
+            one for part in (certain, close) for one in sorted(part, key=lambda one: -one.score)
+        ]
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
         """Find all candidates of both networks, however low their score.
@@ -114,6 +125,12 @@ class NetworkDetector:
             MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a network
             detects nobody.
         """
+        found, scores = self._candidates(frame)
+        rows = [row for row, one in enumerate(found) if one.certain]
+        return [found[row] for row in rows], scores[rows]
+
+    def _candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
+        """The same, with others in their boxes, who are not certain."""
         height, width = frame.shape[:2]
         tiles = tiles_of(width, height, self._min_person_px)
         if not tiles:
@@ -128,7 +145,9 @@ class NetworkDetector:
         picture, scale = (frame, 1.0) if factor > 1 else (overview, factor)
         for seen in self._body_detector.detect(picture, _MIN_BODY_SCORE):
             body = replace(seen, window=seen.window.scaled(1 / scale))
-            same = [i for i, one in enumerate(found) if _is_same(body.window, one.box)]
+            same = [
+                i for i, one in enumerate(found) if one.certain and _is_same(body.window, one.box)
+            ]
             if same:
                 best = max(same, key=lambda i: found[i].score)
                 windows[best].append(body.window)
@@ -142,7 +161,10 @@ class NetworkDetector:
     def _movenet_people(
         self, frame: NDArray[np.uint8], overview: NDArray[np.uint8], tiles: Sequence[Tile]
     ) -> list[Detection]:
-        """MoveNet's detections in the overview and the other tiles, one a person, best first."""
+        """MoveNet's detections in the overview and the other tiles, one a person, best first.
+
+        Last come others in the boxes of these whose keypoints differ; they are not certain.
+        """
         height, width = frame.shape[:2]
         found: list[Detection] = []
         ranks: list[float] = []
@@ -162,8 +184,12 @@ class NetworkDetector:
                 # A box from the more suitable resolution comes before all others.
                 ranks.append(score + (len(tiles) == 1 or is_large == (number == 0)))
         boxes = box_array(one.box for one in found)
-        kept = non_max_suppression(boxes, np.array(ranks), _NMS_IOU)
-        return [found[i] for i in kept]
+        kept = [found[i] for i in non_max_suppression(boxes, np.array(ranks), _NMS_IOU)]
+        people = list(kept)
+        for one, _ in sorted(zip(found, ranks, strict=True), key=lambda pair: -pair[1]):
+            if not any(one is other or _is_same_person(one, other) for other in people):
+                people.append(replace(one, certain=False))
+        return people
 
     def _confirmed(self, frame: NDArray[np.uint8], body: BlazePoseDetection) -> Detection | None:
         """A body that MoveNet misses, if the landmark network sees a person there."""
@@ -180,6 +206,14 @@ def _margin(
     """HOG's margin on a box, by the overview where the box is large enough in it."""
     seen = box.scaled(factor)
     return hog_margin(overview, seen) if seen.height >= PERSON_PX else hog_margin(frame, box)
+
+
+def _is_same_person(one: Detection, other: Detection) -> bool:
+    """Whether two detections of MoveNet show the same person."""
+    if one.box.intersection(other.box) == 0 or one.keypoints is None or other.keypoints is None:
+        return False
+    size = math.sqrt(min(one.box.area, other.box.area))
+    return one.keypoints.agree_with(other.keypoints, size)
 
 
 # Size of BlazePose's window relative to the one about MoveNet's box if both show one person.

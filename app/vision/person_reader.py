@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -117,6 +118,22 @@ class PersonReader:
             return self.read(frame, box, keypoints)
         return fuse(reading, keypoints)
 
+    def read_beside(
+        self,
+        frame: NDArray[np.uint8],
+        box: Box,
+        keypoints: ObservedKeypoints,
+        others: Sequence[PoseReading],
+    ) -> PoseReading | None:
+        """Read a person close to others, who are painted over so that nobody is read twice.
+
+        None if nobody is seen beside them.
+        """
+        reading = self.read(without_bodies(frame, box, keypoints, others), box, keypoints)
+        is_seen = reading.presence >= MIN_PRESENCE
+        fits = reading_quality(reading, keypoints) >= _MIN_QUALITY_BESIDE
+        return reading if is_seen and fits else None
+
     def with_mask(self, reading: PoseReading) -> PoseReading:
         """The same reading with its mask."""
         return self.mask_network.read(reading)
@@ -143,6 +160,69 @@ class PersonReader:
         if quality_of(best) >= _DOUBTFUL_QUALITY:
             return best
         return max(best, self.network.read(frame, best.next_window), key=quality_of)
+
+
+# Least quality of a reading beside others; chosen on rendered groups.
+_MIN_QUALITY_BESIDE = 0.5
+# Limbs by their ends, COCO keypoints.
+_LIMB_ENDS = (
+    (0, 5), (0, 6), (5, 6), (5, 7), (7, 9), (6, 8), (8, 10), (5, 11), (6, 12), (11, 12), (11, 13),
+    (13, 15), (12, 14), (14, 16),
+)  # fmt: skip
+# A body reaches so far about its limbs, in sizes of the body.
+_FLESH = 0.2
+# Longer side of the picture in which distances to limbs are measured.
+_LIMBS_PX = 256
+# Visibility and score from which landmarks and keypoints are ends of limbs here.
+_MIN_LANDMARK_VISIBILITY, _MIN_KEYPOINT_SCORE = 0.3, 0.15
+
+
+def without_bodies(
+    frame: NDArray[np.uint8],
+    box: Box,
+    keypoints: ObservedKeypoints,
+    others: Iterable[PoseReading],
+) -> NDArray[np.uint8]:
+    """A frame in which the bodies of others are grey about a person's box.
+
+    Of pixels close to the limbs of both, those that are closer to the person's keypoints stay.
+    """
+    result = frame.copy()
+    margin = max(box.width, box.height)
+    about = Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
+    region = about.clip(frame.shape[1], frame.shape[0])
+    assert region is not None
+    left, top, right, bottom = region.pixels()
+    part = result[top:bottom, left:right]
+    scale = min(1.0, _LIMBS_PX / max(part.shape[:2]))
+    size = max(1, round(scale * part.shape[1])), max(1, round(scale * part.shape[0]))
+
+    def distances(positions: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+        return _distance_to_limbs(size, scale * (positions - np.array([left, top])), seen)
+
+    own = distances(keypoints.positions, keypoints.scores > _MIN_KEYPOINT_SCORE)
+    hidden = np.zeros(size[::-1], bool)
+    for other in others:
+        seen = other.landmarks.visibility[COCO_LANDMARKS] > _MIN_LANDMARK_VISIBILITY
+        theirs = distances(other.landmarks.positions[COCO_LANDMARKS], seen)
+        hidden |= (theirs <= own) & (theirs <= _FLESH * scale * other.body_px)
+    shown = part.shape[1::-1]
+    part[cv2.resize(hidden.view(np.uint8), shown, interpolation=cv2.INTER_NEAREST) > 0] = 127
+    return result
+
+
+def _distance_to_limbs(
+    size: tuple[int, int], positions: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Distance of each pixel ``(H, W)`` of a picture to the nearest limb whose ends are seen."""
+    off_limb = np.full(size[::-1], 255, np.uint8)
+    ends = np.clip(positions, -(2**14), 2**14).round().astype(int).tolist()
+    for first, last in _LIMB_ENDS:
+        if seen[first] and seen[last]:
+            cv2.line(off_limb, ends[first], ends[last], 0, 1)
+    for row in np.flatnonzero(seen):
+        cv2.circle(off_limb, ends[row], 1, 0, -1)
+    return np.asarray(cv2.distanceTransform(off_limb, cv2.DIST_L2, 3), np.float32)
 
 
 _HIPS_TO_FEET = 1.7  # Distance from hips to feet, relative to the trunk.

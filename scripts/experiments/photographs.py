@@ -174,6 +174,7 @@ def shrunk(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
 def read(networks: Models, shown: Shown) -> list[PoseReading]:
     """Read the people of a frame, the largest first, as the service does."""
     found = [Detection(shown.box, 1.0)] if shown.box else networks.detector.detect(shown.frame)
+    found = [one for one in found if one.certain]
     readings = [
         networks.reader.read(shown.frame, one.box, one.keypoints, one.windows)
         for one in sorted(found, key=lambda one: -one.box.area)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.__main__ import COMMANDS, main
+from scripts.__main__ import COMMANDS
 from scripts.evaluate import EXPERIMENTS
 from tests.conftest import ROOT
 from tests.support.programs import run
@@ -41,10 +41,12 @@ def test_every_command_is_there(name: str) -> None:
 @pytest.mark.parametrize(
     "command", ["pictures people", "evaluate real", "evaluate paper", "evaluate actions"]
 )
-def test_without_data(command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_data(command: str, tmp_path: Path) -> None:
     name, *names = command.split()
-    assert main([name, *names, "--shared", str(tmp_path)]) == 1
-    assert capsys.readouterr().err.splitlines()[-1].startswith(f"{name}: ")
+    ended = RUN(name, *names, "--shared", tmp_path)
+    assert ended.returncode == 1
+    assert ended.stderr.splitlines()[-1].startswith(f"{name}: ")
+    assert "Traceback" not in ended.stderr
 
 
 def test_the_options_of_all_experiments_get_along() -> None:

@@ -26,6 +26,7 @@ from app.vision.person_reader import (
     reading_quality,
     trunk_roll_deg,
     window_beyond_border,
+    without_bodies,
 )
 
 
@@ -189,3 +190,23 @@ def test_window_reaches_beyond_the_border_to_the_unseen_end(unseen: str, radius:
     )
     assert (window.x, window.y, window.roll_deg) == (60, 90, 0)
     assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)
+
+
+def test_bodies_of_others_are_grey_about_a_person(
+    readings: list[PoseReading], street: NDArray[np.uint8], walkers: list[Box]
+) -> None:
+    own, other = readings[1].keypoints, readings[2].keypoints
+    assert own is not None and other is not None
+    before = street.copy()
+    painted = without_bodies(street, walkers[1], own, [readings[2]])
+    assert_array_equal(street, before)
+    grey = (painted == 127).all(axis=2)
+    assert_array_equal(painted[~grey], street[~grey])
+
+    def grey_share(keypoints: ObservedKeypoints) -> float:
+        columns, rows = keypoints.positions[keypoints.scores > 0.3].round().astype(int).T
+        return float(grey[rows, columns].mean())
+
+    assert grey_share(other) > 0.9 and grey_share(own) == 0
+    same_place = without_bodies(street, walkers[2], other, [readings[2]])
+    assert (same_place == 127).all(axis=2).sum() < grey.sum()

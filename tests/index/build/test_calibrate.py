@@ -79,8 +79,8 @@ def test_postures_of_answers(ground_simulation: Simulation, trial: Trial) -> Non
     assert np.mean(trial.postures[~lies, 0] == POSTURES.index("standing")) > 0.95
 
 
-def test_missing_hypotheses_have_no_posture(tiny_index: PoseIndex, queries: Queries) -> None:
-    few = run_trial(tiny_index, queries.take(np.arange(1)), n=1200)
+def test_missing_hypotheses_have_no_posture(ground_index: PoseIndex, queries: Queries) -> None:
+    few = run_trial(ground_index, queries.take(np.arange(1)), n=1200)
     missing = ~np.isfinite(few.error_px)
     assert missing.any() and not missing.all()
     assert_array_equal(few.postures == -1, missing)
