@@ -277,7 +277,7 @@ class PeopleFinder:
             return person
         if reading.network_pass is None:
             return replace(person, landmarks=visible)
-        judged = self.models.judgement.judge(reading, upload.camera, shape)
+        judged = self.models.judgement.judge(reading, upload.camera)
         metres = judged.body.along_sight(upload.camera, visible)
         return replace(
             person,

@@ -19,7 +19,7 @@ from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
 from app.vision.models import network_path
 from app.vision.odds import logit, sigmoid, softmax
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES, coco_rows, landmark_rows
+from app.vision.people import LANDMARK_NAMES, landmark_rows
 from app.vision.tflite import NetworkError
 
 
@@ -77,7 +77,7 @@ class PostureEvidence:
     Parameters
     ----------
     body : (F,) float64 array
-        :func:`posture_features`, :func:`trust_features` and :func:`visibility_features`.
+        :func:`posture_features` and :func:`trust_features`.
     surroundings : (M,) float32 array
         :func:`region_features`.
     """
@@ -98,15 +98,13 @@ class PhotographModels:
         """A reading in three dimensions; ``ValueError`` if it is not from the network."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
-    def judge(
-        self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
-    ) -> Judgement:
+    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
         """A reading of the network in three dimensions, how far to trust it, and its posture."""
-        body, trust, evidence = self.evidence(reading, camera, frame_shape)
+        body, trust, evidence = self.evidence(reading, camera)
         return Judgement(body, trust, self.posture.estimate(evidence, trust.right))
 
     def evidence(
-        self, reading: PoseReading, camera: PinholeCamera, frame_shape: tuple[int, ...]
+        self, reading: PoseReading, camera: PinholeCamera
     ) -> tuple[Body3D, Trust, PostureEvidence]:
         """A reading in three dimensions, how far to trust it, and what shows its posture."""
         body, given, landmarks = self.body(reading, camera), reading.raw, reading.landmarks
@@ -125,10 +123,7 @@ class PhotographModels:
             reading.presence,
             box.width / box.height,
         )
-        seen = visibility_features(reading, frame_shape)
-        evidence = PostureEvidence(
-            np.concatenate([shape, trusted, seen]), region_features(given.sampled)
-        )
+        evidence = PostureEvidence(np.concatenate([shape, trusted]), region_features(given.sampled))
         return body, self.trust.estimate(trusted), evidence
 
 
@@ -141,17 +136,14 @@ def load_photograph_models(path: Path | None = None) -> PhotographModels:
         If the file is missing or holds something else.
     """
     path = network_path("photograph_models") if path is None else path
-    # The file has other names for trust and sharpness.
-    names = ("depth", "doubt", "posture.by_body", "posture.by_surroundings")
     try:
         with np.load(path) as stored:
             arrays = dict(stored)
-        depth, trust, by_body, by_surroundings = (DenseNetwork.of(arrays, name) for name in names)
-        sharpness = np.asarray(arrays["posture.trust"], np.float64)
+        depth, trust, posture = (DenseNetwork.of(arrays, n) for n in ("depth", "trust", "posture"))
+        sharpness = np.asarray(arrays["posture.sharpness"], np.float64)
     except (OSError, KeyError, ValueError) as error:
         raise NetworkError(f"cannot read the models in {path}: {error}") from error
-    posture = PostureModel(by_body, by_surroundings, sharpness)
-    return PhotographModels(DepthModel(depth), TrustModel(trust), posture)
+    return PhotographModels(DepthModel(depth), TrustModel(trust), PostureModel(posture, sharpness))
 
 
 _SHOULDERS, _KNEES, _ANKLES, _WRISTS, _EARS = (
@@ -239,33 +231,26 @@ def trust_features(
 
 @dataclass(frozen=True)
 class PostureModel:
-    """Estimates postures from the mean scores of two networks.
-
-    One gets no feature maps, so surroundings unlike any rendered ones cannot determine the result
-    alone.
+    """Estimates postures.
 
     Parameters
     ----------
-    by_body : DenseNetwork
-        Scores of :data:`FRAME_POSTURES` from the evidence of bodies.
-    by_surroundings : DenseNetwork
-        The same scores, from that of their surroundings as well.
+    network : DenseNetwork
+        Scores of :data:`FRAME_POSTURES`.
     sharpness : (2,) float64 array
         The scores are multiplied by a factor: the less of a person is seen, the less certain is the
         posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
         growth with the log odds of right landmarks. Both are calibrated on held-out renders.
     """
 
-    by_body: DenseNetwork
-    by_surroundings: DenseNetwork
+    network: DenseNetwork
     sharpness: NDArray[np.float64]
 
     def scores(
         self, body: NDArray[np.float64], surroundings: NDArray[np.float32]
     ) -> NDArray[np.float32]:
         """Scores ``(N, 6)`` of features of bodies ``(N, F)`` and their surroundings ``(N, M)``."""
-        both = self.by_surroundings(np.hstack([body, surroundings]))
-        return np.asarray((self.by_body(body) + both) / 2, np.float32)
+        return np.asarray(self.network(np.hstack([body, surroundings])), np.float32)
 
     def estimate(self, evidence: PostureEvidence, right: float) -> FramePosture:
         """Posture of a person, with the probability that their landmarks are right."""
@@ -295,32 +280,6 @@ def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.concatenate(
         [sampled[rows].astype(np.float32).mean(axis=0) for rows in (_TRUNK, _LEGS)]
     )
-
-
-_KEYPOINT_PAIRS = [
-    coco_rows(part) for part in ("ear", "shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-]
-# Scores of MoveNet from which a keypoint is certainly seen, and gaps to the border, in sizes of the
-# body, from which the border cuts nothing off: beyond them, the features stay the same.
-_CERTAIN_SCORE, _FAR_GAP = 0.5, 0.5
-
-
-def visibility_features(reading: PoseReading, frame_shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Which parts of a body are seen at all ``(18,)``.
-
-    If the frame cuts legs off, or something covers them, the landmark network squeezes the whole
-    body into what is left and reports all of it as visible. MoveNet gives low scores to keypoints
-    that it does not see, and the squeezed body ends at the border.
-    """
-    scores, known = np.zeros((len(_KEYPOINT_PAIRS), 2)), 0.0
-    if reading.keypoints is not None:
-        scores, known = reading.keypoints.scores[np.array(_KEYPOINT_PAIRS)], 1.0
-    box = reading.landmarks.box()
-    height, width = frame_shape[:2]
-    aside = min(box.x, width - box.x - box.width)
-    gaps = np.array([aside, box.y, height - box.y - box.height]) / reading.body_px
-    seen = np.sort(np.minimum(scores, _CERTAIN_SCORE), axis=1)
-    return np.array([*seen.ravel(), known, *np.clip(gaps, -_FAR_GAP, _FAR_GAP)])
 
 
 _EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]

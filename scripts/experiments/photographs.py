@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> Figures:
         for shown in tqdm(source(real), desc=source.__name__, unit="frame"):
             camera = PinholeCamera.of_frame(shown.frame.shape)
             readings = read(networks, shown)
-            judged = [models.judge(reading, camera, shown.frame.shape) for reading in readings]
+            judged = [models.judge(reading, camera) for reading in readings]
             if readings and shown.joints_3d is not None:
                 row = depth_errors(readings[0], judged[0].body, camera, shown.joints_3d)
                 depths[shown.source].append(row)

@@ -32,9 +32,6 @@ HEAD_FIRST = 0.35
 """Share of the people who lie whose head points to the camera: few landmarks are read right then.
 """
 
-_WITHOUT_KEYPOINTS = 0.2
-"""Share of the views without MoveNet's keypoints: it does not read every track."""
-
 
 @dataclass(frozen=True)
 class PostureRows(Rows):
@@ -105,10 +102,8 @@ class Reader:
             left, top, width, height = shown.box + scatter
             box = Box(float(left), float(top), max(4.0, float(width)), max(4.0, float(height)))
             reading = self.people.read(shown.image, box)
-            if generator.random() < _WITHOUT_KEYPOINTS:
-                reading = replace(reading, keypoints=None)
             camera = camera_of(shown, generator)
-            _, trust, seen = self.models.evidence(reading, camera, shown.image.shape)
+            _, trust, seen = self.models.evidence(reading, camera)
             one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)
             rows.append([np.array([value]) for value in (*one, shown.posture)])
         columns = [np.concatenate(column) for column in zip(*rows, strict=True)]

@@ -144,7 +144,7 @@ def train_models(train: TrainingRows, held: TrainingRows, epochs: int, seed: int
     trusted = TrustModel(trust).probabilities(trust_inputs(held, found))
     say(trust_report(held, trusted, held.decided & ~calibrates))
 
-    return depth.arrays("depth") | trust.arrays("doubt")
+    return depth.arrays("depth") | trust.arrays("trust")
 
 
 def depth_report(held: TrainingRows, found: Depths, rows: NDArray[np.bool_]) -> str:

@@ -22,16 +22,19 @@ from scripts.training.render_postures import VIEWS, PostureRows
 from scripts.training.train_photograph_models import FILE, store
 
 ENSEMBLE = 3
-"""Number of networks whose mean is each of the two posture networks."""
+"""Number of networks whose mean is the posture network."""
+
+BLANK = 0.4
+"""Share of the views that are shown once more with average surroundings: bodies alone show their
+posture as well, and surroundings unlike any rendered ones do not determine it."""
 
 NOBODY_FROM = 0.1
 """The network's presence from which it takes a picture without people for a person."""
 
 
 def train_posture(
-    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int,
-    **options: Any,
-) -> DenseNetwork:  # fmt: skip
+    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int
+) -> DenseNetwork:
     """The mean of a few networks with one hidden layer: their scores differ by chance."""
     import torch
 
@@ -41,7 +44,8 @@ def train_posture(
     return averaged([
         fit_dense(
             features, classes[:, None].astype(np.float32), len(FRAME_POSTURES), loss,
-            epochs=epochs, seed=seed + number, batch=64, **options,
+            epochs=epochs, seed=seed + number, batch=64,
+            hidden=(192,), dropout=0.4, noise=0.4, decay=0.1,
         )
         for number in range(ENSEMBLE)
     ])  # fmt: skip
@@ -80,13 +84,12 @@ def train_models(train: PostureRows, held: PostureRows, epochs: int, seed: int) 
     body, surroundings = (
         part[teaches].astype(np.float32) for part in (train.body, train.surroundings)
     )
-    classes = train.posture[teaches]
-    by_body = train_posture(body, classes, epochs, seed + 10, hidden=(96,), dropout=0.3, noise=0.3)
-    by_surroundings = train_posture(
-        np.hstack([body, surroundings]), classes, epochs, seed + 20,
-        hidden=(192,), dropout=0.4, noise=0.4, decay=0.1,
-    )  # fmt: skip
-    posture = PostureModel(by_body, by_surroundings, np.zeros(2))
+    blank = np.random.default_rng(seed).random(len(body)) < BLANK
+    average = np.broadcast_to(surroundings.mean(axis=0), surroundings[blank].shape)
+    evidence = np.vstack([np.hstack([body, surroundings]), np.hstack([body[blank], average])])
+    classes = np.concatenate([train.posture[teaches], train.posture[teaches][blank]])
+    network = train_posture(evidence, classes, epochs, seed + 20)
+    posture = PostureModel(network, np.zeros(2))
     scores = posture.scores(held.body.astype(np.float32), held.surroundings.astype(np.float32))
     calibrates = held.photograph % 2 == 0
     # Pictures without people that the network takes for people limit the certainty.
@@ -98,11 +101,7 @@ def train_models(train: PostureRows, held: PostureRows, epochs: int, seed: int) 
         rows = (held.posture >= 0) & (held.presence > SEEN_FROM) & ~calibrates
         rows &= held.view == number
         print(f"{name}: {posture_report(given[rows], held.posture[rows])}")
-    arrays: dict[str, Any] = {"posture.trust": sharpness}
-    networks = {"posture.by_body": by_body, "posture.by_surroundings": by_surroundings}
-    for name, network in networks.items():
-        arrays |= network.arrays(name)
-    return arrays
+    return {"posture.sharpness": sharpness} | network.arrays("posture")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

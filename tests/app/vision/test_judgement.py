@@ -18,13 +18,12 @@ from app.vision.judgement import (
     load_photograph_models,
     posture_features,
     sharpened,
-    visibility_features,
 )
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader
 from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES, ObservedKeypoints
+from app.vision.people import LANDMARK_NAMES
 from app.vision.person_reader import PersonReader
 from app.vision.tflite import NetworkError
 
@@ -48,21 +47,6 @@ def test_degenerate_bodies_have_finite_numbers() -> None:
     assert np.isfinite(posture_numbers(np.zeros((33, 3)))).all()
 
 
-def test_visibility_is_that_of_keypoints_and_the_border(readings: list[PoseReading]) -> None:
-    scores = np.random.default_rng(2).uniform(0, 0.5, 17)
-    reading = replace(readings[0], keypoints=ObservedKeypoints(np.zeros((17, 2)), scores))
-    exchanged = scores[[0, *(n - 1 + 2 * (n % 2) for n in range(1, 17))]]
-    mirrored = replace(reading, keypoints=ObservedKeypoints(np.zeros((17, 2)), exchanged))
-    assert_allclose(
-        visibility_features(reading, (576, 768)), visibility_features(mirrored, (576, 768))
-    )
-    unknown = visibility_features(replace(reading, keypoints=None), (576, 768))
-    assert_allclose(unknown[:15], 0)
-    # The frame ends at the feet.
-    bottom = round(reading.landmarks.box().bottom)
-    assert abs(visibility_features(reading, (bottom, 768))[-1]) < 0.02 < unknown[-1]
-
-
 @pytest.mark.parametrize("share", [0.3, 0.5])
 def test_the_posture_of_legs_beyond_the_border_is_no_other_than_standing(
     models: PhotographModels,
@@ -78,7 +62,7 @@ def test_the_posture_of_legs_beyond_the_border_is_no_other_than_standing(
         height = round(share * box.height)
         frame = np.ascontiguousarray(street[: round(box.y) + height])
         reading = people.read(frame, Box(box.x, box.y, box.width, height))
-        judged = models.judge(reading, PinholeCamera.of_frame(frame.shape), frame.shape)
+        judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
         others = np.delete(judged.posture.probabilities, FRAME_POSTURES.index("standing"))
         assert others.max() < 0.5
 
@@ -114,7 +98,7 @@ def test_walkers_stand_and_are_people(
 ) -> None:
     camera = PinholeCamera.of_frame(street.shape)
     for reading in readings:
-        judged = models.judge(reading, camera, street.shape)
+        judged = models.judge(reading, camera)
         assert judged.posture.of("standing") > 0.5
         assert judged.trust.person > 0.8
         assert 0 <= judged.trust.right <= judged.trust.person <= 1
@@ -160,14 +144,12 @@ def test_asphalt_is_nobody(
     camera = PinholeCamera.of_frame(street.shape)
     for box in (Box(100, 200, 30, 80), Box(60, 30, 30, 80)):
         reading = landmark_network.read(street, PersonWindow.about_box(box))
-        assert models.judge(reading, camera, street.shape).trust.person < 0.5
+        assert models.judge(reading, camera).trust.person < 0.5
 
 
 def test_what_ships_is_small(models: PhotographModels) -> None:
-    assert network_path("photograph_models").stat().st_size < 3_000_000
-    posture = models.posture
-    for network in (posture.by_body, posture.by_surroundings):
-        assert network.biases[-1].shape == (len(FRAME_POSTURES),)
+    assert network_path("photograph_models").stat().st_size < 2_500_000
+    assert models.posture.network.biases[-1].shape == (len(FRAME_POSTURES),)
 
 
 def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:
