@@ -23,7 +23,7 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
-from index.matching import DEFAULT_HYPOTHESES, match
+from index.matching import match
 from index.store import PoseIndex
 
 
@@ -157,9 +157,8 @@ def fit_poses(
     hypotheses = found.hypotheses
     presence = 1.0 if person.presence is None else person.presence
     confidences = [presence * one.confidence for one in hypotheses]
-    # However many are requested.
-    voters = hypotheses[:DEFAULT_HYPOTHESES]
-    votes = vote_posture([one.posture for one in voters], confidences[: len(voters)])
+    voters = found.voters
+    votes = vote_posture([one.posture for one in voters], [one.confidence for one in voters])
     posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(

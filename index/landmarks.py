@@ -11,7 +11,7 @@ landmarks; the others move only where they nearly agree, so that they remain alt
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +59,8 @@ class NormalisedLandmarks:
         Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
     limb_scores : (12,) float64 array
         Confidence of each limb joint, from 0 to 1.
+    limb_covariance : (12, 12) float64 array
+        Covariance of the errors of the limbs' depths, square metres.
     sigma_px : float
         Standard deviation of a point about its landmark in the picture.
     """
@@ -68,14 +70,19 @@ class NormalisedLandmarks:
     scores: NDArray[np.float64]
     limbs_3d: NDArray[np.float64]
     limb_scores: NDArray[np.float64]
+    limb_covariance: NDArray[np.float64] = field(
+        default_factory=lambda: _SIGMA_M**2 * np.eye(len(LIMBS))
+    )
     sigma_px: float = _SIGMA_PX
 
     def __post_init__(self) -> None:
         count, limbs = len(self.rows), len(LIMBS)
-        arrays = (self.positions, self.scores, self.limbs_3d, self.limb_scores)
+        arrays = (
+            self.positions, self.scores, self.limbs_3d, self.limb_scores, self.limb_covariance
+        )  # fmt: skip
         shapes, expected = (
             tuple(a.shape for a in arrays),
-            ((count, 2), (count,), (limbs, 3), (limbs,)),
+            ((count, 2), (count,), (limbs, 3), (limbs,), (limbs, limbs)),
         )
         if shapes != expected:
             raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")

@@ -25,9 +25,28 @@ from index.candidates import (
     silhouette_rotations,
 )
 from index.confidence import RIGHT_BELOW_PX, fused_confidences
-from index.facing import azimuth_deg, front_share, heading_shares, nearest_of_both_facings
-from index.landmarks import Agreement, NormalisedLandmarks, fit_to_landmarks, fused_distances
-from index.modes import Modes, candidate_weights, find_modes, mode_weights
+from index.facing import (
+    azimuth_deg,
+    faces_camera,
+    front_share,
+    heading_shares,
+    nearest_of_both_facings,
+)
+from index.landmarks import (
+    DISTANCE_WEIGHT,
+    Agreement,
+    NormalisedLandmarks,
+    fit_to_landmarks,
+    fused_distances,
+)
+from index.modes import (
+    DepthModes,
+    Modes,
+    candidate_weights,
+    depth_modes,
+    find_modes,
+    mode_weights,
+)
 from index.posture import POSTURES, PostureName, camera_up, classify_postures, lying_elevation_deg
 from index.ranking import NetworkRanking
 from index.search import NearestEntries
@@ -37,6 +56,7 @@ from index.skeleton import (
     LIMB_SHOULDERS,
     POINTS,
     mean_joint_distance,
+    moved_in_depth,
     rotate_clockwise,
     wrap_degrees,
 )
@@ -94,6 +114,9 @@ class PoseHypothesis:
         landmarks, lengthened if a network finds the joints unlikely; see :mod:`index.ranking`.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
+    weight : float or None
+        Probability that this hypothesis is nearer to the truth than all others of the first
+        :data:`DEFAULT_HYPOTHESES`; 0 for later ones, None without landmarks.
     """
 
     entry_id: int
@@ -108,6 +131,7 @@ class PoseHypothesis:
     tilt_deg: float = 0.0
     distance: float = 0.0
     adjusted_m: float = 0.0
+    weight: float | None = None
 
     def __post_init__(self) -> None:
         if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
@@ -133,11 +157,14 @@ class Match:
         Probability that the camera sees the person from the front: the confidence of hypotheses
         that face it, as a share of the confidence of all. It does not depend on how many were
         requested.
+    voters : list of PoseHypothesis
+        Those that decide the posture, likewise: modes, but no alternatives in depth.
     """
 
     hypotheses: list[PoseHypothesis]
     features: NDArray[np.float64]
     front_probability: float
+    voters: list[PoseHypothesis]
 
 
 def match(
@@ -173,13 +200,21 @@ def match(
     """
     query = _Query(index, silhouette, landmarks, roll_deg, whole)
     size = DEFAULT_HYPOTHESES
-    found, features = query.batch(size)
-    voters = slice(DEFAULT_HYPOTHESES if landmarks is None else len(found))
+    found, features, alternatives = query.batch(size)
+    voters = found[: DEFAULT_HYPOTHESES if landmarks is None else None]
+    voters_deg = azimuth_deg(np.array([one.points_3d for one in voters]))
+    votes = np.array([one.confidence for one in voters])
+    front_probability = front_share(voters_deg, votes)
     # For each rank, the number of hypotheses found for a request of that many.
     pools = [len(found)] * min(size, len(found))
+    if landmarks is not None:
+        found, weighted = _weighted(found, alternatives, front_probability)
+        features = np.empty((len(found), 0))
+        pools = [1] + [weighted] * (min(size, weighted) - 1)
+        pools += [len(found)] * (min(size, len(found)) - len(pools))
     while len(found) < n or size < n:
         size *= 2
-        later, later_features = query.batch(size, at_least=found[-1].distance)
+        later, later_features, _ = query.batch(size, at_least=found[-1].distance)
         known = np.array([one.points_3d for one in found])
         new = [
             row
@@ -192,24 +227,61 @@ def match(
         features = np.concatenate([features, later_features[new]])
         pools += [len(found)] * (min(size, len(found)) - len(pools))
     count = max(n, DEFAULT_HYPOTHESES)
-    azimuths = azimuth_deg(np.array([one.points_3d for one in found]))
-    confidences = np.array([one.confidence for one in found])
-    front_probability = front_share(azimuths[voters], confidences[voters])
     if landmarks is None:
-        return Match(found[:count], features[:count], front_probability)
+        return Match(found[:count], features[:count], front_probability, voters)
+    azimuths = azimuth_deg(np.array([one.points_3d for one in found]))
     # A skeleton cannot be likelier right than its heading.
-    shares = heading_shares(azimuths, azimuths[voters], confidences[voters])
-    confidences = np.minimum(confidences, shares)
+    shares = heading_shares(azimuths, voters_deg, votes)
+    confidences = np.minimum([one.confidence for one in found], shares)
     distances = np.array([one.distance for one in found])
     chosen = nearest_of_both_facings(azimuths, distances, front_probability, pools[:count])
     ascending = np.maximum.accumulate(distances[chosen])
     hypotheses = [
-        replace(found[row], distance=distance, confidence=confidence)
+        replace(
+            found[row],
+            distance=distance,
+            confidence=confidence,
+            weight=found[row].weight or 0.0,
+        )
         for row, distance, confidence in zip(
             chosen, ascending.tolist(), confidences[chosen].tolist(), strict=True
         )
     ]
-    return Match(hypotheses, features[chosen], front_probability)
+    return Match(hypotheses, features[chosen], front_probability, voters)
+
+
+def _weighted(
+    modes: Sequence[PoseHypothesis],
+    alternatives: Sequence[PoseHypothesis],
+    front_probability: float,
+) -> tuple[list[PoseHypothesis], int]:
+    """Weigh what is found with landmarks: the best mode, its alternatives, those that face away.
+
+    Returns
+    -------
+    hypotheses : list of PoseHypothesis
+        In this order; other modes follow, of weight 0, if they differ from all of these.
+    weighted : int
+        Number of those before.
+    """
+    front = faces_camera(azimuth_deg(np.array([one.points_3d for one in modes])))
+    facing, away = ([one for one, f in zip(modes, front, strict=True) if f == which]
+                    for which in (front[0], not front[0]))  # fmt: skip
+    share = front_probability if front[0] else 1 - front_probability
+    votes = sum(one.confidence for one in away) + 1e-9
+    rest = 1 - sum(one.weight or 0.0 for one in alternatives)
+    weighted = [
+        replace(facing[0], weight=share * rest),
+        *(replace(one, weight=share * (one.weight or 0.0)) for one in alternatives),
+        *(replace(one, weight=(1 - share) * one.confidence / votes) for one in away),
+    ]
+    known = np.array([one.points_3d for one in weighted])
+    new = [
+        one
+        for one in facing[1:]
+        if mean_joint_distance(one.points_3d[None], known).min() >= MIN_NEW_POSE_M
+    ]
+    return weighted + new, len(weighted)
 
 
 # Number of nearest entries without landmarks; more add few useful modes. A network that ranks the
@@ -224,6 +296,10 @@ _CANDIDATES_PER_HYPOTHESIS = 20
 _MAX_CANDIDATE_GROWTH = 16
 # A person tilted by more than this in the picture is lying rather than standing.
 _MAX_STANDING_TILT_DEG = 30.0
+
+
+_Found = tuple[list[RotatedQuery], Candidates, Modes, DepthModes | None]
+"""Queries, candidates and their modes; with landmarks, depths in the first batch."""
 
 
 @dataclass(frozen=True)
@@ -245,21 +321,20 @@ class _Query:
 
     def batch(
         self, n: int, at_least: float = 0.0
-    ) -> tuple[list[PoseHypothesis], NDArray[np.float64]]:
+    ) -> tuple[list[PoseHypothesis], NDArray[np.float64], list[PoseHypothesis]]:
         """Find about ``n`` hypotheses, nearest first, and the features of their confidences.
 
         No distance is smaller than ``at_least``, the distance of the last one of earlier batches.
+        In the first batch, if there are landmarks, also alternatives to the best, nearest first.
         """
         index, ranking, landmarks = self.index, self.ranking, self.landmarks
-        queries, candidates, modes = (
+        queries, candidates, modes, depths = (
             self._modes_of_silhouette(n)
             if landmarks is None
             else self._modes_with_landmarks(n, landmarks)
         )
         centres = candidates.take(modes.centres)
-        rotation_deg = centres.rotation_deg - self.roll_deg
-        entry_roll_deg = index.roll_deg(centres.entry_ids, centres.mirrored)
-        tilt_deg = wrap_degrees(rotation_deg + entry_roll_deg)
+        rotation_deg, tilt_deg = self._rotations(centres)
         distances = modes.distances
         if landmarks is not None:
             # Modes are compared before the fit: a pose that must change far to fit is less likely.
@@ -310,9 +385,50 @@ class _Query:
                 strict=True,
             )
         ]
-        return hypotheses, features
+        alternatives = [] if depths is None else self._alternatives(
+            hypotheses[0], candidates.take(depths.rows), depths, queries
+        )  # fmt: skip
+        return hypotheses, features, alternatives
 
-    def _modes_of_silhouette(self, n: int) -> tuple[list[RotatedQuery], Candidates, Modes]:
+    def _alternatives(
+        self,
+        best: PoseHypothesis,
+        centres: Candidates,
+        depths: DepthModes,
+        queries: Sequence[RotatedQuery],
+    ) -> list[PoseHypothesis]:
+        """The best hypothesis at other depths, likely ones first; each near to an entry."""
+        errors_px = _outline_errors(self.index, queries, centres)
+        points_3d = moved_in_depth(best.points_3d, depths.offsets)
+        own_3d = rotate_clockwise(centres.points_3d, -self.roll_deg)
+        rotation_deg, tilt_deg = self._rotations(centres)
+        postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
+        found = [
+            replace(
+                best,
+                entry_id=int(centres.entry_ids[row]),
+                mirrored=bool(centres.mirrored[row]),
+                silhouette_distance=float(centres.distances[row]),
+                outline_distance_px=float(errors_px[row]),
+                points_3d=points_3d[row],
+                posture=posture,
+                rotation_deg=float(rotation_deg[row]),
+                tilt_deg=float(tilt_deg[row]),
+                distance=best.distance * math.exp(depths.misfits[row] / DISTANCE_WEIGHT),
+                adjusted_m=float(mean_joint_distance(points_3d[row], own_3d[row])),
+                weight=float(depths.shares[row]),
+            )
+            for row, posture in enumerate(postures)
+        ]
+        return sorted(found, key=lambda one: one.distance)
+
+    def _rotations(self, centres: Candidates) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Rotations of candidates ``(M,)`` for a camera that is not rolled, and their tilts."""
+        rotation_deg = centres.rotation_deg - self.roll_deg
+        entry_roll_deg = self.index.roll_deg(centres.entry_ids, centres.mirrored)
+        return rotation_deg, wrap_degrees(rotation_deg + entry_roll_deg)
+
+    def _modes_of_silhouette(self, n: int) -> _Found:
         """Take more and more candidates until they have ``n`` modes or the index has no more."""
         ranking = self.ranking
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
@@ -329,12 +445,10 @@ class _Query:
                 modes = find_modes(candidates, count, support=support, fit=ranking.fit)
             exhausted = len(candidates) < k
             if len(modes) >= n or exhausted or k >= _MAX_CANDIDATE_GROWTH * _CANDIDATES:
-                return queries, candidates, modes
+                return queries, candidates, modes, None
             k *= 2
 
-    def _modes_with_landmarks(
-        self, n: int, landmarks: NormalisedLandmarks
-    ) -> tuple[list[RotatedQuery], Candidates, Modes]:
+    def _modes_with_landmarks(self, n: int, landmarks: NormalisedLandmarks) -> _Found:
         """Modes of candidates near the silhouette and the landmarks, weighted by agreement.
 
         Unless the silhouette is whole, only entries near the landmarks are candidates.
@@ -354,9 +468,13 @@ class _Query:
             )
             modes = find_modes(candidates, n + SPARE_MODES, agreement=agreement)
             if len(modes) >= n or exhausted or growth >= _MAX_CANDIDATE_GROWTH:
-                return queries, candidates, modes
+                break
             growth *= 2
             nearest = self._near_landmarks(landmarks, growth)
+        depths = None
+        if n == DEFAULT_HYPOTHESES:
+            depths = depth_modes(candidates, landmarks, agreement, n - 2)
+        return queries, candidates, modes, depths
 
     def _near_landmarks(self, landmarks: NormalisedLandmarks, growth: int) -> NearestEntries:
         """Entries near the landmarks in three dimensions, with their rotations in the query."""

@@ -5,6 +5,10 @@ density in pose space are taken greedily, densest first. Each mode is then inter
 by locally weighted linear regression [1]_ of the pose on the descriptor. This gives a pose between
 the entries, and the distance that remains between the query and the mode.
 
+With landmarks, the depths of the limbs are what is uncertain. Depths that the candidates have and
+the errors of the landmarks allow are their posterior, from which :func:`depth_modes` selects a few
+that are near to most of it.
+
 References
 ----------
 .. [1] C. G. Atkeson, A. W. Moore, S. Schaal, "Locally Weighted Learning", Artificial
@@ -22,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
-from index.landmarks import Agreement
-from index.skeleton import JOINTS, POINTS, with_bone_lengths_of
+from index.landmarks import Agreement, NormalisedLandmarks
+from index.skeleton import JOINTS, LIMBS, POINTS, with_bone_lengths_of
 
 DISTINCT_M = 0.11
 """Smallest root mean square joint distance between the centres of two modes; half of it is enough
@@ -148,6 +152,112 @@ def find_modes(
     return modes.take(distinct)
 
 
+# Standard deviation of a limb's depth about that of an entry of the same pose.
+_ENTRY_DEPTH_SD_M = 0.2
+# Exponent of the candidates' weights, which count part of what the depths say already.
+_ENTRY_EXPONENT = 0.3
+# Error of a limb across the line of sight: nearer skeletons do not differ.
+_ACROSS_M = 0.05
+_MIN_VARIANCE = 1e-5
+# Most draws that stand for the posterior: those of the likeliest candidates.
+_POSTERIOR_DRAWS = 100
+_LLOYD_STEPS = 5
+
+
+@dataclass(frozen=True)
+class DepthModes:
+    """Alternatives to the depths of landmarks.
+
+    Parameters
+    ----------
+    rows : (M,) int64 array
+        Rows of the candidates.
+    offsets : (M, 12) float64 array
+        Depths of the limbs behind the landmarks, metres.
+    shares : (M,) float64 array
+        Share of the posterior that is nearer to each than to the others and to the landmarks.
+    misfits : (M,) float64 array
+        Negative log likelihood of the landmarks, relative to that at their own depths.
+    """
+
+    rows: NDArray[np.int64]
+    offsets: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    misfits: NDArray[np.float64]
+
+
+def depth_modes(
+    candidates: Candidates, landmarks: NormalisedLandmarks, agreement: Agreement, count: int
+) -> DepthModes:
+    """Find up to ``count`` alternatives to the depths of landmarks, the most useful first.
+
+    The posterior of the depths is a mixture with a normal distribution for each candidate: the
+    product of the errors of the landmarks and a normal distribution about the candidate. The
+    alternatives are those from which, and from the landmarks, the truth is expected least far.
+
+    Parameters
+    ----------
+    agreement : Agreement
+        How the candidates agree with the landmarks.
+    """
+    apart = -landmarks.limb_offsets(candidates.points_3d)[..., 2]
+    limbs = np.eye(len(LIMBS))
+    errors = landmarks.limb_covariance + _MIN_VARIANCE * limbs
+    precision = np.linalg.inv(errors + _ENTRY_DEPTH_SD_M**2 * limbs)
+    gain = errors @ precision
+    means = apart @ gain.T
+    log_weights = np.log(mode_weights(candidates.distances, agreement) + 1e-300)
+    log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
+    shares = np.exp(log_shares - log_shares.max())
+    shares /= shares.sum()
+    # A draw from each normal distribution stands for it.
+    draws = np.random.default_rng(0).standard_normal(means.shape)
+    truths = means + draws @ np.linalg.cholesky(errors - gain @ errors + _MIN_VARIANCE * limbs).T
+    likely = np.argsort(-shares, kind="stable")[:_POSTERIOR_DRAWS]
+    truths, shares = truths[likely], shares[likely] / shares[likely].sum()
+    modes = _spread_modes(truths, shares, count)
+    nearest = _depth_distances(truths, modes).argmin(axis=1)
+    cells = np.asarray(np.bincount(nearest, shares, len(modes)), np.float64)
+    offsets = modes[1:]
+    # The squares of distances stand for the likelihoods of entries.
+    squares = len(LIMBS) * _depth_distances(offsets, apart) ** 2 / (2 * _ENTRY_DEPTH_SD_M**2)
+    rows = np.asarray((squares - log_weights).argmin(axis=1))
+    misfits = ((offsets @ np.linalg.inv(errors)) * offsets).sum(axis=1) / 2
+    return DepthModes(rows, offsets, cells[1:], misfits)
+
+
+def _spread_modes(
+    truths: NDArray[np.float64], shares: NDArray[np.float64], count: int
+) -> NDArray[np.float64]:
+    """Zero, and ``count`` more offsets ``(12,)`` near to most of the truths ``(K, 12)``.
+
+    They are chosen greedily among the truths, then moved to the means of their cells as in Lloyd's
+    algorithm; zero stays.
+    """
+    apart = _depth_distances(truths, truths)
+    modes = np.zeros((1 + count, truths.shape[1]))
+    nearest = _depth_distances(truths, modes[:1])
+    for mode in range(1, len(modes)):
+        best = int((shares @ np.minimum(apart, nearest)).argmin())
+        modes[mode] = truths[best]
+        nearest = np.minimum(nearest, apart[:, best : best + 1])
+    for _ in range(_LLOYD_STEPS):
+        cells = _depth_distances(truths, modes).argmin(axis=1)
+        members = shares[:, None] * (cells[:, None] == np.arange(len(modes)))
+        members[:, 0] = 0
+        filled = members.sum(axis=0) > 0
+        members = members[:, filled]
+        modes[filled] = members.T @ truths / members.sum(axis=0)[:, None]
+    return modes
+
+
+def _depth_distances(
+    depths: NDArray[np.float64], others: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances ``(N, M)`` between skeletons whose limbs differ by depths ``(N, 12)``."""
+    return np.sqrt(_ACROSS_M**2 + _joint_squares(depths[..., None], others[..., None]))
+
+
 def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
     """Rows of the interpolated modes that are not too near to an earlier one."""
     near = _joint_distances(modes.points_3d[:, :JOINTS]) < min_distance_m
@@ -197,10 +307,16 @@ def candidate_weights(distances: NDArray[np.float64], fall_off: float) -> NDArra
 
 def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
     """Root mean square joint distances ``(K, K)`` between skeletons ``(K, J, 3)``."""
-    flat = joints.reshape(len(joints), -1)
-    squares = (flat**2).sum(axis=1)
-    squared = squares[:, None] + squares[None] - 2 * flat @ flat.T
-    return np.sqrt(np.maximum(squared, 0) / joints.shape[1])
+    return np.sqrt(_joint_squares(joints, joints))
+
+
+def _joint_squares(
+    joints: NDArray[np.floating], others: NDArray[np.floating]
+) -> NDArray[np.float64]:
+    """Mean squared distances ``(N, M)`` between joints ``(N, J, D)`` and ``(M, J, D)``."""
+    one, other = (some.reshape(len(some), -1) for some in (joints, others))
+    squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1)[None] - 2 * one @ other.T
+    return np.maximum(squared, 0) / joints.shape[1]
 
 
 def _interpolate(

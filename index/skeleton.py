@@ -312,6 +312,28 @@ def with_bone_lengths_of(
     return with_bone_lengths(points, bone_lengths(skeleton))
 
 
+def moved_in_depth(
+    points: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Skeletons ``(M, 24, 3)``: one ``(24, 3)``, its limbs moved away by ``(M, 12)`` metres.
+
+    Toes move with the ankles, the head with the shoulders, and the spine in between.
+    """
+    shoulders = offsets[:, LIMB_SHOULDERS].mean(axis=1)
+    away = np.repeat(shoulders[:, None], POINTS, axis=1)
+    for row, share in enumerate(_TRUNK_SHARES):
+        away[:, row] *= share
+    away[:, LIMB_ROWS] = offsets
+    away[:, _TOES] = away[:, _ANKLES]
+    moved = np.repeat(points[None], len(offsets), axis=0)
+    moved[..., 2] += away
+    return moved
+
+
+_TRUNK_SHARES = (0.0, 1 / 3, 2 / 3)  # How far pelvis, spine and chest move with the shoulders.
+_TOES, _ANKLES = side_rows("toe"), side_rows("ankle")
+
+
 def pixels_per_metre(
     points_3d: NDArray[np.float64], points_2d: NDArray[np.float64], points: int = JOINTS
 ) -> NDArray[np.float64]:

@@ -248,16 +248,20 @@ def _observed(
 ) -> list[schemas.ObservedKeypoint | None]:
     names = COCO_NAMES if keypoints == "coco17" else LANDMARK_NAMES
     rows = [LANDMARK_NAMES.index(name) for name in names]
-    values = np.column_stack([landmarks.positions, landmarks.metres[:, 2], landmarks.visibility])[
-        rows
-    ]
+    depths, sd = landmarks.metres[:, 2], np.sqrt(np.diag(landmarks.depth_covariance))
+    values = np.column_stack([landmarks.positions, depths, sd, landmarks.visibility])[rows]
     return [
         schemas.ObservedKeypoint(
-            name=name, x=round(x, 2), y=round(y, 2), z=round(z, 4), score=round(score, 4)
+            name=name,
+            x=round(x, 2),
+            y=round(y, 2),
+            z=round(z, 4),
+            sd=round(sd, 3),
+            score=round(score, 4),
         )
         if score >= MIN_SCORE
         else None
-        for name, (x, y, z, score) in zip(names, values.tolist(), strict=True)
+        for name, (x, y, z, sd, score) in zip(names, values.tolist(), strict=True)
     ]
 
 
@@ -271,6 +275,7 @@ def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> 
         silhouette_distance=round(hypothesis.silhouette_distance, DISTANCE_DIGITS),
         reprojection_error_px=round(hypothesis.outline_distance_px, 3),
         confidence=round(hypothesis.confidence, 4),
+        weight=None if hypothesis.weight is None else round(hypothesis.weight, 4),
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
         **joint_fields(hypothesis.points_3d, hypothesis.points_2d, form),

@@ -281,6 +281,11 @@ class ObservedKeypoint(Model):
         "estimates it.",
         examples=[-0.21],
     )
+    sd: FiniteFloat = Field(
+        ge=0,
+        description="Standard deviation of `z`, metres: a wrist of 0.2 may well be 20 cm nearer.",
+        examples=[0.09],
+    )
     score: Probability = Field(
         description="Visibility: how certain the network is that the keypoint is inside the frame "
         "and not hidden. Hidden ones are guessed from the rest of the body.",
@@ -385,6 +390,13 @@ class Hypothesis(Model):
         "of the normalised 128x48 frame. Keypoints read from the photograph are taken into "
         "account.",
         examples=[0.87],
+    )
+    weight: Probability | None = Field(
+        description="Probability that this skeleton is nearer to the truth, in three dimensions, "
+        "than the other ones of the first seven. What is uncertain in a photograph is depth, so "
+        "they differ in it. The weights of all sum to at most 1; they are 0 from the eighth, and "
+        "null if `facing.evidence` is `none`.",
+        examples=[0.22],
     )
     adjusted_mm: FiniteFloat = Field(
         ge=0,

@@ -281,7 +281,12 @@ class PeopleFinder:
         metres = judged.body.along_sight(upload.camera, visible)
         return replace(
             person,
-            landmarks=replace(visible, metres=metres, depth_sd=judged.body.depth_sd),
+            landmarks=replace(
+                visible,
+                metres=metres,
+                depth_sd=judged.body.depth_sd,
+                depth_covariance=self.models.judgement.depth.covariance(judged.body.depth_sd),
+            ),
             frame_posture=judged.posture,
             trust=judged.trust,
         )

@@ -102,6 +102,7 @@ class NormalisedPerson:
             np.minimum(scores[used], 1.0),
             rotate_clockwise(self.landmarks.metres[_LIMBS], self.roll_deg),
             self.landmarks.visibility[_LIMBS],
+            self.landmarks.depth_covariance[np.ix_(_LIMBS, _LIMBS)],
         )
 
     def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -148,8 +149,9 @@ def place_skeletons(
 ) -> PlacedSkeletons:
     """Place the hypotheses of a person in front of a camera.
 
-    The first is moved towards the landmarks' depths, less so where these are uncertain. The others
-    keep their own depths: they are other interpretations of the image. Without landmarks, skeletons
+    The first is moved towards the landmarks' depths, less so where these are uncertain, and so are
+    those that differ from it in depth alone, by as much. The others keep their own depths: they are
+    other interpretations of the image. Without landmarks, skeletons
     stay in the axes of the line of sight unless the field of view is known.
 
     Parameters
@@ -180,9 +182,13 @@ def place_skeletons(
     size = (weights[:, None] * metres * shown).sum(axis=(1, 2)) / (weights[:, None] * shown**2).sum(
         axis=(1, 2)
     )
+    like_first = (points_2d == points_2d[0]).all(axis=(1, 2))
+    size[like_first] = size[0]
     depths = np.clip(size, *_SIZES)[:, None] * about_hips[..., 2]
     reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / _HALF_WAY_SD_M) ** 2)
-    depths[0, _SEEN_POINTS] += reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
+    moves = np.zeros_like(depths[0])
+    moves[_SEEN_POINTS] = reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
+    depths[like_first] += moves
     pixels = points_2d.copy()
     pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
     lines = camera.rays(pixels) @ line.T

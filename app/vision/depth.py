@@ -102,9 +102,21 @@ class Depths:
 
 @dataclass(frozen=True)
 class DepthModel:
-    """Corrects depths with a network, see :func:`depth_features` and :func:`decode_depths`."""
+    """Corrects depths with a network, see :func:`depth_features` and :func:`decode_depths`.
+
+    Parameters
+    ----------
+    moments : (33, 33) float64 array
+        Second moments of the errors, each divided by its standard deviation: a body that leans errs
+        as a whole.
+    """
 
     network: DenseNetwork
+    moments: NDArray[np.float64]
+
+    def covariance(self, depth_sd: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance ``(33, 33)`` of depths with standard deviations ``(33,)``."""
+        return depth_sd[:, None] * self.moments * depth_sd
 
     def correct(self, reading: PoseReading, camera: PinholeCamera) -> Depths:
         """Correct the depths of a reading."""

@@ -141,9 +141,12 @@ def load_photograph_models(path: Path | None = None) -> PhotographModels:
             arrays = dict(stored)
         depth, trust, posture = (DenseNetwork.of(arrays, n) for n in ("depth", "trust", "posture"))
         sharpness = np.asarray(arrays["posture.sharpness"], np.float64)
+        moments = np.asarray(arrays["depth.moments"], np.float64)
     except (OSError, KeyError, ValueError) as error:
         raise NetworkError(f"cannot read the models in {path}: {error}") from error
-    return PhotographModels(DepthModel(depth), TrustModel(trust), PostureModel(posture, sharpness))
+    return PhotographModels(
+        DepthModel(depth, moments), TrustModel(trust), PostureModel(posture, sharpness)
+    )
 
 
 _SHOULDERS, _KNEES, _ANKLES, _WRISTS, _EARS = (

@@ -115,6 +115,8 @@ class Landmarks:
         away from the camera.
     depth_sd : (33,) float64 array
         Standard deviation of the depths, metres.
+    depth_covariance : (33, 33) float64 array
+        Covariance of the errors of the depths, square metres.
     """
 
     positions: NDArray[np.float64]
@@ -123,12 +125,17 @@ class Landmarks:
     depth_sd: NDArray[np.float64] = field(
         default_factory=lambda: np.full(len(LANDMARK_NAMES), NETWORK_DEPTH_SD_M)
     )
+    depth_covariance: NDArray[np.float64] = field(
+        default_factory=lambda: NETWORK_DEPTH_SD_M**2 * np.eye(len(LANDMARK_NAMES))
+    )
 
     def __post_init__(self) -> None:
         count = len(LANDMARK_NAMES)
-        arrays = (self.positions, self.visibility, self.metres, self.depth_sd)
+        arrays = (
+            self.positions, self.visibility, self.metres, self.depth_sd, self.depth_covariance
+        )  # fmt: skip
         shapes = tuple(array.shape for array in arrays)
-        expected = ((count, 2), (count,), (count, 3), (count,))
+        expected = ((count, 2), (count,), (count, 3), (count,), (count, count))
         if shapes != expected:
             raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
 

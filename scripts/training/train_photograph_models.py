@@ -33,8 +33,12 @@ from app.vision.models import FOLDER, MODELS
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import fit_dense, with_outputs
 from scripts.training.photograph_data import LIMBS, TrainingRows, WindowRows
+from scripts.training.render.people import MIRRORED
 
 FILE = FOLDER / "photograph_models.npz"
+
+TRUSTED_FROM = 0.5
+"""Probability of right landmarks from which a reading counts for :func:`depth_moments`."""
 
 BLOCK = 4096
 """Windows corrected at a time."""
@@ -73,6 +77,20 @@ def corrected(network: DenseNetwork, rows: TrainingRows) -> Depths:
         some = rows.take(np.arange(first, min(first + BLOCK, len(rows))))
         parts.append(decode_depths(network(depth_inputs(some)), network_depths(some.world)))
     return Depths(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+
+# Errors beyond so many standard deviations count as so many.
+_MOST_SD = 4.0
+
+
+def depth_moments(
+    rows: TrainingRows, depths: Depths, some: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Second moments ``(33, 33)`` of errors over their standard deviations; sides are alike."""
+    errors = ((rows.depths - depths.metres) / (np.sqrt(2) * depths.sigmas))[some]
+    errors = np.clip(errors, -_MOST_SD, _MOST_SD)
+    moments = errors.T @ errors / len(errors)
+    return np.asarray((moments + moments[np.ix_(MIRRORED, MIRRORED)]) / 2)
 
 
 def trust_inputs(rows: TrainingRows, depths: Depths) -> NDArray[np.float64]:
@@ -144,7 +162,10 @@ def train_models(train: TrainingRows, held: TrainingRows, epochs: int, seed: int
     trusted = TrustModel(trust).probabilities(trust_inputs(held, found))
     say(trust_report(held, trusted, held.decided & ~calibrates))
 
-    return depth.arrays("depth") | trust.arrays("trust")
+    trusted = TrustModel(trust).probabilities(trust_inputs(train, crossed))
+    moments = depth_moments(train, crossed, train.teaches & (trusted[:, 1] > TRUSTED_FROM))
+    stored = {"depth.moments": moments.astype(np.float32)}
+    return depth.arrays("depth") | trust.arrays("trust") | stored
 
 
 def depth_report(held: TrainingRows, found: Depths, rows: NDArray[np.bool_]) -> str:

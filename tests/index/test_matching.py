@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
@@ -178,6 +179,32 @@ def test_landmarks_reduce_the_error(toy_index: PoseIndex, new_views: list[View])
             best = likeliest(match(toy_index, silhouette, 7, landmarks))
             errors.append(joint_error(best.points_normalised, points))
     assert np.mean(with_them) < 0.6 * np.mean(without)
+
+
+def test_hypotheses_with_landmarks_share_the_posterior(
+    toy_index: PoseIndex, new_views: list[View]
+) -> None:
+    """The first at other depths, where the picture shows it, and one that faces away."""
+    for silhouette, in_space, points in new_views[::8]:
+        landmarks = landmarks_of(points, in_space)
+        found = match(toy_index, silhouette, 14, landmarks).hypotheses
+        weights = np.array([one.weight for one in found], np.float64)
+        assert (weights >= 0).all() and weights.sum() <= 1 + 1e-9
+        first, *others = found[:DEFAULT_HYPOTHESES]
+        alternatives = [
+            one for one in others if np.array_equal(one.points_normalised, first.points_normalised)
+        ]
+        assert len(alternatives) >= 4
+        for one in alternatives:
+            assert one.weight
+            assert_allclose(one.points_3d[:, :2], first.points_3d[:, :2])
+            assert joint_error(one.points_3d, first.points_3d) > 0.02
+            own = rotate_clockwise(
+                toy_index.entry(one.entry_id, mirrored=one.mirrored).points_3d, one.rotation_deg
+            )
+            assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
+        fewer = match(toy_index, silhouette, 3, landmarks).hypotheses[:3]
+        assert [one.distance for one in fewer] == [one.distance for one in found[:3]]
 
 
 def test_landmarks_decide_between_left_and_right(

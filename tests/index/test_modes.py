@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates
-from index.modes import DISTINCT_M, Modes, find_modes
-from index.skeleton import JOINTS, POINTS, bone_lengths, rows
+from index.modes import DISTINCT_M, DepthModes, Modes, depth_modes, find_modes
+from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
+from tests.index.helpers import landmarks_of
 
 Points = NDArray[np.float64]
 
@@ -139,3 +140,44 @@ def test_rounding_does_not_choose_among_equal_densities() -> None:
     ring = np.stack([np.cos(np.arange(40.0)), np.sin(np.arange(40.0))], axis=1)
     found = replace(candidates_of(np.zeros(2), ring, poses), distances=np.ones(40))
     assert find_modes(found, 1).centres.tolist() == [0]
+
+
+# Errors in depth that go together: the upper body leans, with a standard deviation of 15 cm.
+LEAN = np.array([0.15] * 6 + [0.0] * 6)
+
+
+def depths_about(seed: int, covariance: NDArray[np.float64], count: int = 5) -> DepthModes:
+    """Alternatives to the depths of a pose among candidates that scatter about it."""
+    rng = np.random.default_rng(seed)
+    pose = some_pose(seed)
+    poses = pose + rng.normal(0, 0.1, (60, POINTS, 3))
+    found = candidates_of(rng.normal(size=6), rng.normal(size=(60, 6)), poses)
+    landmarks = replace(landmarks_of(100 * pose[:, :2], pose), limb_covariance=covariance)
+    agreement = landmarks.compare(found.points_normalised, found.points_3d)
+    return depth_modes(found, landmarks, agreement, count)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_alternatives_in_depth_spread_over_what_is_uncertain(seed: int) -> None:
+    found = depths_about(seed, np.outer(LEAN, LEAN))
+    along = found.offsets @ LEAN / (LEAN @ LEAN)  # In standard deviations.
+    assert along.min() < -0.5 and along.max() > 0.5
+    assert np.abs(found.offsets - along[:, None] * LEAN).max() < 0.02
+    assert np.diff(np.sort(along)).min() > 0.1
+    assert (found.shares > 0).all() and found.shares.sum() < 1
+    assert (found.misfits > along**2 / 2 - 0.05).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_certain_depths_have_no_alternatives(seed: int) -> None:
+    limbs = np.eye(len(LIMBS))
+    assert np.abs(depths_about(seed, 1e-6 * limbs).offsets).max() < 0.03
+
+
+def test_fewer_alternatives_than_asked_for_few_candidates() -> None:
+    pose = some_pose()
+    found = candidates_of(np.zeros(6), np.ones((1, 6)), pose[None])
+    landmarks = landmarks_of(100 * pose[:, :2], pose)
+    agreement = landmarks.compare(found.points_normalised, found.points_3d)
+    depths = depth_modes(found, landmarks, agreement, 5)
+    assert np.isfinite(depths.offsets).all() and (depths.rows == 0).all()

@@ -10,6 +10,8 @@ from index.skeleton import (
     H36M17,
     JOINTS,
     KEYPOINT_SETS,
+    LIMB_SHOULDERS,
+    LIMBS,
     NATIVE,
     POINT_NAMES,
     POINTS,
@@ -19,6 +21,7 @@ from index.skeleton import (
     exchange_sides,
     mirror_3d,
     mirror_normalised,
+    moved_in_depth,
     pixels_per_metre,
     project,
     rotate_clockwise,
@@ -149,6 +152,16 @@ class TestRotateClockwise:
         points = some_points(3)[0]
         upright, rolled = (points @ camera_rotation(40, 25, roll).T for roll in (0.0, angle))
         assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
+
+
+def test_moved_limbs_carry_toes_head_and_spine() -> None:
+    points, offsets = np.zeros((POINTS, 3)), np.zeros((2, len(LIMBS)))
+    offsets[0, LIMBS.index("left_ankle")] = 0.3
+    offsets[1, LIMB_SHOULDERS] = 0.2
+    one, other = moved_in_depth(points, offsets)[..., 2]
+    assert_allclose(one[rows("left_ankle", "left_toe", "right_toe", "head")], [0.3, 0.3, 0, 0])
+    assert_allclose(other[rows("pelvis", "neck", "nose")], [0, 0.2, 0.2])
+    assert 0 < other[rows("spine")[0]] < other[rows("chest")[0]] < 0.2
 
 
 def test_bones_without_direction_stay_finite() -> None:

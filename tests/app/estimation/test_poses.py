@@ -208,18 +208,34 @@ def test_exact_skeletons_stay_where_they_are(x: float, y: float, z: float) -> No
     assert_allclose(result.points_3d[0] + result.pelvis[0], placed, atol=0.03)
 
 
-def test_first_hypothesis_follows_the_landmarks_in_depth_and_the_second_does_not() -> None:
+def test_first_hypothesis_follows_the_landmarks_in_depth_and_another_one_does_not() -> None:
     placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
     own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
     twin = own * [1.0, 1.0, -1.0]
     result = place_skeletons(
-        np.array([twin, twin]), np.array([pixels, pixels]), landmarks_of(placed), CAMERA
+        np.array([twin, twin]), np.array([pixels, pixels + 0.1]), landmarks_of(placed), CAMERA
     )
     limbs = side_rows("wrist") + side_rows("ankle")
     errors = np.linalg.norm(
         result.points_3d[:, limbs] + result.pelvis[:, None] - placed[limbs], axis=-1
     ).mean(axis=1)
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_alternatives_to_the_first_in_depth_keep_their_distance_from_it() -> None:
+    placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
+    line = to_line_of_sight(placed[HIPS].mean(axis=0))
+    own = (placed - placed[HIPS].mean(axis=0)) @ line.T
+    wrist = side_rows("wrist")[0]
+    nearer = own.copy()
+    nearer[wrist, 2] -= 0.2
+    result = place_skeletons(
+        np.array([own, nearer]), np.array([pixels, pixels]), landmarks_of(placed), CAMERA
+    )
+    away = ((result.points_3d[1] - result.points_3d[0]) @ line.T)[:, 2]
+    assert away[wrist] == pytest.approx(-0.2, abs=0.03)
+    assert_allclose(np.delete(away, wrist), 0, atol=0.01)
+    assert_allclose(result.points_2d[1], result.points_2d[0])
 
 
 def test_joints_project_to_their_pixels() -> None:
