@@ -60,6 +60,7 @@ export function difference(joints, others, names) {
   const apart = joints.flatMap((joint, number) => joint && others[number] ? [{
     name: names[number],
     metres: Math.hypot(...["x", "y", "z"].map((axis) => joint[axis] - others[number][axis])),
+    farther: joint.z - others[number].z,
   }] : []);
   if (!apart.length) return null;
   return {

@@ -19,7 +19,10 @@ const centimetres = (metres) => `${Math.round(100 * metres)} cm`;
 function apart(hypothesis, best, { names }) {
   if (hypothesis === best) return "–";
   const found = difference(hypothesis.joints_3d, best.joints_3d, names);
-  return found ? `${centimetres(found.mean)} (${inWords(found.most.name)} ${centimetres(found.most.metres)})` : "unknown";
+  if (!found) return "unknown";
+  const { name, metres, farther } = found.most;
+  const where = Math.abs(farther) < metres / 2 ? "" : farther < 0 ? " nearer" : " farther";
+  return `${centimetres(found.mean)} (${inWords(name)} ${centimetres(metres)}${where})`;
 }
 
 export class Hypotheses {
@@ -57,7 +60,7 @@ export class Hypotheses {
   }
 
   #card(hypothesis, best, keypoints) {
-    const { rank, confidence, camera } = hypothesis;
+    const { rank, confidence, weight, camera } = hypothesis;
     const pictures = element("div", { className: "pictures" },
       this.#entry(hypothesis),
       this.#view(hypothesis, best, keypoints, 0, "camera view"),
@@ -69,7 +72,8 @@ export class Hypotheses {
       element("meter", { min: 0, max: 1, value: confidence, title: "how likely the joints are right" }),
       pictures,
       line("camera sees", `the ${sideSeen(camera.azimuth_deg)}`),
-      line("differs by", apart(hypothesis, best, keypoints)));
+      line("differs by", apart(hypothesis, best, keypoints)),
+      line("nearest to the truth", weight === null ? "unknown" : percent(weight)));
   }
 
   #view(hypothesis, best, keypoints, turn, caption) {
