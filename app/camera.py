@@ -1,7 +1,5 @@
 """A camera session: frames of one fixed camera, in order, to people with identities."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence

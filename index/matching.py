@@ -6,8 +6,6 @@ candidates as well, candidates are weighted by their agreement with them, modes 
 and both facings are among the hypotheses.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

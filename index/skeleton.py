@@ -4,8 +4,6 @@ Body axes: x to the person's left, y up, z forward, metres, origin at the pelvis
 vertical so that the pelvis faces +z. Camera axes: x right, y down, z forward.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

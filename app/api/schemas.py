@@ -1,7 +1,5 @@
 """The public contract: the models that clients send and receive, with units and examples."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config

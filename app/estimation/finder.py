@@ -1,7 +1,5 @@
 """Finds the people of a frame and observes each: silhouette, landmarks and what these show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -5,8 +5,6 @@ Windows come from the detectors. MoveNet's keypoints need no window: they show w
 right, and make its landmarks a little more precise where both networks agree.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
