@@ -163,7 +163,8 @@ def train_models(train: TrainingRows, held: TrainingRows, epochs: int, seed: int
     say(trust_report(held, trusted, held.decided & ~calibrates))
 
     trusted = TrustModel(trust).probabilities(trust_inputs(train, crossed))
-    moments = depth_moments(train, crossed, train.teaches & (trusted[:, 1] > TRUSTED_FROM))
+    rescaled = Depths(crossed.metres, error * crossed.sigmas)
+    moments = depth_moments(train, rescaled, train.teaches & (trusted[:, 1] > TRUSTED_FROM))
     stored = {"depth.moments": moments.astype(np.float32)}
     return depth.arrays("depth") | trust.arrays("trust") | stored
 
