@@ -92,23 +92,12 @@ class CameraSession:
         evidence: Evidence = "photograph",
         zones: Sequence[Zone] = (),
     ) -> TrackedFrame:
-        """Find the people of a frame, identify them, and estimate their poses.
+        """Find the people of a frame, identify them, and estimate ``n`` hypotheses of their poses.
 
-        Parameters
-        ----------
-        upload : Upload
-            The frame.
-        timestamp : float or None
-            Seconds; None stands for the time since the frame before, by the session's clock.
-        n : int
-            Hypotheses of each person in the result.
-        job : Job
-            Checked between steps. If it raises, the next frame reports what began or ended at this
-            one.
-        evidence : str
-            As in :meth:`app.photograph.Estimator.estimate`.
-        zones : sequence of Zone
-            Zones of the camera; they may change between frames.
+        The timestamp is in seconds; None stands for the time since the frame before, by the
+        session's clock. If the job raises, the next frame reports what began or ended at this one.
+        Zones may change between frames; ``evidence`` is that of
+        :meth:`app.photograph.Estimator.estimate`.
 
         Raises
         ------

@@ -118,28 +118,13 @@ class CameraSessions:
     """Camera sessions, bounded in number, memory and idle time; safe under several threads.
 
     Where a limit is exceeded, the caller with the most sessions loses the least recently used one,
-    so that nobody crowds out others. A session whose frame is being processed stays. Settings
-    outlive a session that ends by a limit, until they are replaced or the camera is forgotten.
+    so that nobody crowds out others. A session whose frame is being processed stays, and so does
+    the last used one even if it alone exceeds the memory. Settings outlive a session that ends by a
+    limit, until they are replaced or the camera is forgotten.
 
-    Parameters
-    ----------
-    create : callable
-        Makes a session for a camera's first frame, from an estimator.
-    max_sessions : int
-        Limit for all callers together; each caller may also configure this many cameras.
-    idle_s : float
-        Seconds without a frame after which a session ends.
-    max_memory_bytes : int
-        Limit for all sessions together, as they report their memory. The last used session stays
-        even if it alone exceeds the limit.
-    configured : mapping of str to CameraSettings, optional
-        Settings of cameras by name; they apply to all callers until a caller sets its own.
-    on_begin : callable
-        Called when a session has begun.
-    on_end : callable
-        Called with the reason when a session has ended.
-    clock : callable
-        Seconds, monotonic.
+    Limits are for all callers together, but each may configure ``max_sessions`` cameras. The
+    settings ``configured`` by name apply to all callers until one sets its own. ``on_end`` is
+    called with the reason.
     """
 
     def __init__(

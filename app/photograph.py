@@ -70,17 +70,11 @@ class Estimator:
         *,
         shown: bool = False,
     ) -> Estimate:
-        """Find the ``n`` nearest distinct poses of every person.
+        """Find the ``n`` nearest distinct poses of every person; the job is checked between steps.
 
-        Parameters
-        ----------
-        job : Job
-            Checked between steps.
-        evidence : str
-            ``photograph``: silhouettes and the landmarks in the photograph; ``silhouette``:
-            silhouettes alone, as in the paper.
-        shown : bool
-            Whether the frame is needed after that, to draw on it.
+        The evidence ``photograph`` is silhouettes and the landmarks in the photograph,
+        ``silhouette`` silhouettes alone, as in the paper. ``shown`` is whether the frame is needed
+        after that, to draw on it.
 
         Raises
         ------
@@ -200,14 +194,9 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
 def load_models(concurrency: int, min_person_px: float | None) -> Models:
     """Load the networks that detect and read people, and the models that judge what was read.
 
-    Networks run once, because the first run is slow.
-
-    Parameters
-    ----------
-    concurrency : int
-        Frames processed at once, which share the cores.
-    min_person_px : float or None
-        Height of the smallest person to find, pixels; by default a share of the frame's height.
+    Networks run once, because the first run is slow. The ``concurrency`` of frames processed at
+    once share the cores. People of at least ``min_person_px`` are found, by default of a share of
+    the frame's height.
 
     Raises
     ------

@@ -51,21 +51,10 @@ _SKELETONS_PER_BLOCK = 8192
 class Label:
     """The source of an entry: motion, avatar and camera.
 
-    Parameters
-    ----------
-    entry_id : int
-        Row of the index.
-    action, clip, subject : str
-        Label of the motion, name of the motion capture clip, name of the avatar.
-    frame : int
-        Frame of the BVH file, zero-based.
-    mirrored : bool
-        Whether left and right are exchanged, in the pose and in the camera: each entry also
-        represents its mirror image.
-    azimuth_deg, elevation_deg, roll_deg : float
-        Direction of the camera, as in :func:`index.skeleton.camera_rotation`.
-    distance_m : float
-        Distance from the camera to the pelvis.
+    The action is the motion's label, the clip its name, ``frame`` that of the BVH file, from 0, and
+    the subject the name of the avatar. ``mirrored`` is whether left and right are exchanged, in the
+    pose and in the camera: each entry also represents its mirror image. The camera's direction is
+    as in :func:`index.skeleton.camera_rotation`, its distance that to the pelvis.
     """
 
     entry_id: int

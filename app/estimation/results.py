@@ -52,26 +52,12 @@ class ProjectedHypothesis(PoseHypothesis):
 class Person:
     """A person of a frame: as observed and, once poses are fitted, with these.
 
-    Parameters
-    ----------
-    box : Box
-        Pixels of the frame.
-    detection_score : float or None
-        Probability of a person, from the detector; None if the caller marked the people.
-    silhouette : Silhouette or None
-        Silhouette in the frame; None if none was found in a caller's box.
-    landmarks : Landmarks or None
-        Pixels of the frame; None if they were not read.
-    presence : float or None
-        Probability, from the landmark network, that a person is there; None if it did not run.
-    next_window : PersonWindow or None
-        Where the landmark network would look for the person in the next frame.
-    frame_posture : FramePosture or None
-        Probabilities of postures, from the landmarks; None if they were not read.
-    trust : Trust or None
-        How far to trust the landmarks; None if they were not read.
-    hypotheses : tuple of ProjectedHypothesis
-        Best first. Without a silhouette there are none, and neither facing nor posture.
+    Positions are in pixels of the frame. There is no detection score where the caller marked the
+    people, no silhouette where none was found in a caller's box; landmarks and all that follows
+    from them, ``trust`` and the frame's posture among it, are None where these were not read.
+    ``presence`` is the probability, from the landmark network, that a person is there,
+    ``next_window`` where it would look in the next frame. Hypotheses come best first; without a
+    silhouette there are none, and neither facing nor posture.
     """
 
     box: Box
@@ -95,20 +81,11 @@ class Person:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """The people of a frame.
+    """The people of a frame, from left to right.
 
-    Parameters
-    ----------
-    frame : (H, W, 3) uint8 array
-        As sent, BGR; black if the caller sent a mask alone.
-    camera : PinholeCamera
-        Camera of the frame as sent, with square pixels.
-    warnings : tuple of str
-        Warnings about the frame; see :class:`app.vision.images.Photograph`.
-    persons : tuple of Person
-        Ordered left to right, in pixels of the frame as sent.
-    timings_ms : dict
-        Milliseconds by stage, and ``total``.
+    The frame ``(H, W, 3)``, BGR, is as it was sent, black if the caller sent a mask alone; its
+    camera has square pixels. Warnings are those of :class:`app.vision.images.Photograph`,
+    ``timings_ms`` the milliseconds by stage and in all.
     """
 
     frame: NDArray[np.uint8]

@@ -68,23 +68,13 @@ class UploadError(ValueError):
 
 @dataclass(frozen=True)
 class Upload:
-    """Encoded images and, if known, where the people are.
+    """Encoded images of one size and, if known, where the people are.
 
-    Parameters
-    ----------
-    frame : bytes or (H, W, 3) uint8 array, optional
-        Photograph, encoded or as BGR pixels; may be missing if there is a mask.
-    mask : bytes, optional
-        Encoded label image of the same size: 0 background, k = person k. It cannot be combined with
-        boxes or a background.
-    background : bytes, optional
-        Encoded photograph of the empty scene, of the same size.
-    boxes : sequence of Box, optional
-        In pixels of the frame.
-    track_ids : sequence of str, optional
-        The caller's identity of the person in each box.
-    optics : Optics
-        Without them, a field of view is assumed, with square pixels and an upright camera.
+    The frame is a photograph, encoded or ``(H, W, 3)`` BGR pixels; it may be missing if there is a
+    mask: a label image, 0 background, k = person k, which cannot be combined with boxes, in pixels
+    of the frame, or a background, a photograph of the empty scene. ``track_ids`` are the caller's
+    identities of the people in the boxes. Without optics, a field of view is assumed, with square
+    pixels and an upright camera.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -126,24 +116,10 @@ def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> N
 class DecodedUpload:
     """Images of one size, with square pixels and upright, and boxes within them.
 
-    Parameters
-    ----------
-    sent : (H, W, 3) uint8 array
-        The frame as sent, BGR; black if the caller sent a mask alone.
-    frame : (H, W, 3) uint8 array
-        The rectified frame.
-    has_frame : bool
-        Whether the caller sent a frame, or a mask alone.
-    background : (H, W, 3) uint8 array or None
-        BGR.
-    boxes : list of Box or None
-        Clipped to the frame.
-    camera : PinholeCamera
-        Of the rectified frame.
-    rectification : Rectification
-        Conversion from the frame as sent to the rectified one.
-    warnings : tuple of str
-        Of the frame; see :class:`app.vision.images.Photograph`.
+    Images are ``(H, W, 3)``, BGR. ``sent`` is the frame as sent, black if the caller sent a mask
+    alone, which ``has_frame`` tells; ``frame`` is the rectified one, to which the camera and the
+    boxes, clipped to it, belong. ``rectification`` converts between the two; warnings about the
+    frame are those of :class:`app.vision.images.Photograph`.
     """
 
     sent: NDArray[np.uint8]

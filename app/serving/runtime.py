@@ -26,18 +26,9 @@ _SEQUENCE_RETRY_S = 10
 class Runtime:
     """State of an application.
 
-    Parameters
-    ----------
-    executor : Executor
-        Does all work on images.
-    sequences : int
-        Number of videos that are received or worked on.
-    estimator : Estimator or None
-        None until the index is loaded.
-    not_ready_because : str
-        A sentence for the operator, used while there is no estimator.
-    loading : bool
-        Whether the index is being loaded or loading will be tried again.
+    All work on images is the executor's. ``sequences`` counts the videos that are received or
+    worked on. Until the index is loaded, ``estimator`` is None, ``not_ready_because`` tells the
+    operator why, and ``loading`` is whether loading goes on or will be tried again.
     """
 
     settings: Settings

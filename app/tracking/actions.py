@@ -59,20 +59,11 @@ _OUTWARD = {"left": np.array([1.0, 1.0, 1.0]), "right": np.array([-1.0, 1.0, 1.0
 
 @dataclass(frozen=True)
 class PoseSample:
-    """A pose at a moment.
+    """A pose at a moment, in seconds.
 
-    Parameters
-    ----------
-    timestamp : float
-        Seconds.
-    points_3d : (24, 3) float64 array
-        Camera axes, metres, origin at the pelvis.
-    pelvis_px : (2,) float64 array
-        Pelvis in the frame.
-    pixels_per_metre : float
-        Scale at the person's distance.
-    elevation_deg : float
-        Elevation of the camera above the person.
+    Points ``(24, 3)`` are in camera axes, metres, about the pelvis, which is at ``pelvis_px`` in
+    the frame; the scale is that at the person's distance, the elevation that of the camera above
+    the person.
     """
 
     timestamp: float

@@ -19,16 +19,8 @@ class NetworkError(RuntimeError):
 class TfliteNetwork:
     """A network from some arrays to others; thread-safe.
 
-    Parameters
-    ----------
-    input_shapes : sequence of (int or None, int or None, int)
-        Rows, columns and channels of each input; None for a size that may vary.
-    output_shapes : sequence of the same
-        Shape of each output.
-    threads : int
-        Threads that share the work of one call.
-    copies : int
-        Number of calls served at once; others wait.
+    Shapes are rows, columns and channels of each array, None for a size that may vary. ``threads``
+    share the work of a call; ``copies`` calls are served at once, others wait.
 
     Raises
     ------

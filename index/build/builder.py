@@ -58,20 +58,9 @@ class QueryCounts:
 class Plan:
     """How large an index is and how it is sampled.
 
-    Parameters
-    ----------
-    entries : int
-        Wanted entries; poses are chosen so that there are about as many.
-    bodies : int
-        Bodies per pose, at least; see :meth:`fitted`.
-    views : int
-        Views per pose and body.
-    seed : int
-        Seed of everything random.
-    descriptor : str
-        ``discriminant`` (learned here) or ``paper``.
-    calibration : QueryCounts
-        Silhouettes that the confidence is fitted on.
+    Poses are chosen so that there are about as many ``entries``, on so many ``bodies`` per pose at
+    least, see :meth:`fitted`, each in some ``views``. The descriptor is ``discriminant``, learned
+    here, or ``paper``; the confidence is fitted on the silhouettes of ``calibration``.
     """
 
     entries: int = 198_000
@@ -105,20 +94,10 @@ class Plan:
 class IndexSpec:
     """What an index is built from, and what it is called.
 
-    Parameters
-    ----------
-    name : str
-        Name of the index.
-    motion : Path
-        Folder with ``manifest.csv`` and ``bvh/``.
-    garments : Path or None
-        Folder of MakeHuman garments; without it the bodies stay unclothed.
-    plan : Plan
-        How large the index is and how it is sampled.
-    attribution : str
-        Credits the motion; the bodies are credited in any case.
-    segments : tuple of Segment, optional
-        Replace all that the manifests list; experiments hold some out.
+    ``motion`` is a folder with ``manifest.csv`` and ``bvh/``, ``garments`` one of MakeHuman
+    garments, without which bodies stay unclothed. The attribution credits the motion; the bodies
+    are credited in any case. ``segments`` replace all that the manifests list: experiments hold
+    some out.
     """
 
     name: str

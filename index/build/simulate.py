@@ -89,28 +89,12 @@ def simulate(
     only_new: bool = False,
     executor: Executor | None = None,
 ) -> Simulation:
-    """Render every pose on some bodies from some views.
+    """Render every pose on some bodies from some views: entries pose by pose, body by body.
 
-    Parameters
-    ----------
-    avatars : sequence of Avatar
-        Dealt out in turn, so that each gets its share of the poses.
-    bodies : int
-        Bodies per pose.
-    views : int
-        Views per pose and body.
-    seed : int
-        The same seed, poses and avatars give the same bytes, whatever the executor.
-    only_new : bool
-        Whether poses laid down are seen along the trunk only: seen across, they look like
-        standing ones.
-    executor : Executor, optional
-        Renders the silhouettes; by default threads of this process.
-
-    Returns
-    -------
-    Simulation
-        Entries pose by pose, body by body, view by view.
+    Avatars are dealt out in turn, so that each gets its share of the poses. The same seed, poses
+    and avatars give the same bytes, whatever the executor, by default threads of this process. With
+    ``only_new``, poses laid down are seen along the trunk only: seen across, they look like
+    standing ones.
     """
     bodies = min(bodies, len(avatars))
     assigned = assign_avatars(len(poses) * bodies, len(avatars), seed)
