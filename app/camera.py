@@ -277,7 +277,8 @@ class CameraSession:
             )
             longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
-                events, stays = track.lose(frame, timestamp)
+                cut = self._is_cut_askew(track)
+                events, stays = track.lose(frame, timestamp, may_have_left=cut)
                 self._events += events
                 if not stays:
                     continue
@@ -305,7 +306,13 @@ class CameraSession:
             self._rectification is not None
             and track.next_window is not None
             and not ends_at_border(track.box_filter.seen, self._rectification.upright)
+            and not self._is_cut_askew(track)
         )
+
+    def _is_cut_askew(self, track: Track) -> bool:
+        """Whether a person was last seen at the border of a frame that was turned askew."""
+        rectification = self._rectification
+        return rectification is not None and rectification.cuts_askew(track.box_filter.seen)
 
     def _with_poses(
         self,

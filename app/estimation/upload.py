@@ -27,6 +27,7 @@ from app.vision.images import (
 )
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
 from app.vision.people import Silhouette, silhouette_from_mask
+from app.vision.silhouettes import ends_at_border
 from index.skeleton import rotate_clockwise, wrap_degrees
 
 Pixels = TypeVar("Pixels", bound=NDArray[Any])
@@ -351,6 +352,14 @@ class Rectification:
         """Boxes of the frame as sent, in the rectified one."""
         return [_about(self.points(_corners(box))) for box in sent] if self.changes else [*sent]
 
+    def box_sent(self, rectified: Box) -> Box:
+        """A box of the rectified frame, in the one that was sent."""
+        return _about(self.points_sent(_corners(rectified))) if self.changes else rectified
+
+    def cuts_askew(self, box: Box) -> bool:
+        """Whether a slanted border, within the rectified frame, may cut a person in a box."""
+        return self.roll_deg % 90 != 0 and ends_at_border(self.box_sent(box), self.sent)
+
     def camera_sent(self, camera: PinholeCamera) -> PinholeCamera:
         """The camera of the rectified frame, before it was turned upright."""
         return camera.centred(self.square)
@@ -370,7 +379,7 @@ class Rectification:
             metres=self.axes_sent(person.landmarks.metres),
         )
         silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
-        box = _about(self.points_sent(_corners(person.box)))
+        box = self.box_sent(person.box)
         if silhouette and self.roll_deg % 90:
             box = silhouette.box
         hypotheses = tuple(self._hypothesis_sent(one) for one in person.hypotheses)

@@ -194,15 +194,20 @@ class Track:
             return []
         return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
 
-    def lose(self, frame: NDArray[np.uint8], timestamp: float) -> tuple[list[Event], bool]:
+    def lose(
+        self, frame: NDArray[np.uint8], timestamp: float, *, may_have_left: bool = False
+    ) -> tuple[list[Event], bool]:
         """The events of a person who is not seen any more, and whether the track goes on.
 
-        It does where the person fell, and the picture still shows the same at their place.
+        It does where the person fell, and the picture still shows the same at their place. Whoever
+        may have left across a border within the frame has not fallen by being lost.
         """
         if self.track_id is None:
             return [], False
-        fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
-        events = [*map(self._annotated, fell)]
+        events: list[Event] = []
+        if not may_have_left:
+            fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
+            events += map(self._annotated, fell)
         stays = self._patch is not None and self._patch.is_shown_by(frame)
         if self._event_detector.has_fallen and stays:
             self.lies_at = self.box_filter.seen

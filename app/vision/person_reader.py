@@ -170,7 +170,7 @@ _LIMB_ENDS = (
 # A body reaches so far about its limbs, in sizes of the body.
 _FLESH = 0.2
 # Longer side of the picture in which distances to limbs are measured.
-_LIMBS_PX = 256
+_LIMBS_PX = 512
 # Visibility and score from which landmarks and keypoints are ends of limbs here.
 _MIN_LANDMARK_VISIBILITY, _MIN_KEYPOINT_SCORE = 0.3, 0.15
 
@@ -219,7 +219,7 @@ def _distance_to_limbs(
         if seen[first] and seen[last]:
             cv2.line(off_limb, ends[first], ends[last], 0, 1)
     for row in np.flatnonzero(seen):
-        cv2.circle(off_limb, ends[row], 1, 0, -1)
+        cv2.circle(off_limb, ends[row], 2, 0, -1)
     return np.asarray(cv2.distanceTransform(off_limb, cv2.DIST_L2, 3), np.float32)
 
 

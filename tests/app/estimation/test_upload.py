@@ -176,3 +176,12 @@ def test_turning_stays_within_the_largest_frame() -> None:
     upload = Upload(frame(), boxes=boxes, optics=Optics(roll_deg=45))
     with pytest.raises(UploadError, match="boxes: expected people whose boxes"):
         many.decode(upload, Job())
+
+
+@pytest.mark.parametrize("roll_deg", [20.0, -20.0, 110.0, 90.0])
+def test_slanted_borders_cut_people_within_the_rectified_frame(roll_deg: float) -> None:
+    rectification = Rectification.of_frame((480, 640), Optics(roll_deg=roll_deg))
+    is_slanted = roll_deg % 90 != 0
+    for place, is_cut in (((320.0, 240.0), False), ((320.0, 470.0), True), ((5.0, 240.0), True)):
+        x, y = rectification.points(np.array(place)).tolist()
+        assert rectification.cuts_askew(Box(x - 20, y - 40, 40, 80)) == (is_cut and is_slanted)
