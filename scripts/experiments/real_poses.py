@@ -15,8 +15,7 @@ from app.estimation.upload import Upload
 from app.photograph import Estimator, fit_poses
 from app.scheduling.job import Job
 from app.vision.geometry import Box
-from app.vision.models import fitted_constants as constants_of
-from app.vision.odds import sigmoid
+from app.vision.odds import logit, sigmoid
 from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette
 from descriptor.silhouette import normalise
@@ -190,10 +189,10 @@ def _mean(values: Sequence[float | np.floating | np.bool_]) -> float:
 
 
 def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias of the confidence of :mod:`index.confidence`."""
-    agreement = np.concatenate([_agreement(t) for t in trials])
+    """Fit slope and bias of the log odds of confidences."""
     model = LogisticRegression(C=1e3).fit(
-        agreement[:, None], np.concatenate([t.right for t in trials])
+        np.concatenate([_log_odds(t) for t in trials])[:, None],
+        np.concatenate([t.right for t in trials]),
     )
     return float(model.coef_[0, 0]), float(model.intercept_[0])
 
@@ -201,21 +200,16 @@ def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
 def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
     """Replace confidences by those fitted to people in the other half of the photographs.
 
-    Slope and bias of the service are fitted to both halves.
+    Those of the service are fitted to both halves.
     """
     fitted = {odd: fit_slope_and_bias([t for t in trials if t.odd != odd]) for odd in (False, True)}
 
     def refitted(trial: Trial) -> Trial:
         slope, bias = fitted[trial.odd]
-        confidence = sigmoid(slope * _agreement(trial) + bias)
-        return replace(trial, confidence=confidence)
+        return replace(trial, confidence=sigmoid(slope * _log_odds(trial) + bias))
 
     return [refitted(trial) for trial in trials]
 
 
-def _agreement(trial: Trial) -> NDArray[np.float64]:
-    """Return the agreement ``(N,)`` that the confidences of the service were made from."""
-    confidence = np.clip(trial.confidence, 1e-9, 1 - 1e-9)
-    constants = constants_of("confidence")
-    odds = np.log(confidence / (1 - confidence))
-    return np.asarray((odds - constants["offset"]) / constants["slope"])
+def _log_odds(trial: Trial) -> NDArray[np.float64]:
+    return logit(trial.confidence, 1e-9)
