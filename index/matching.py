@@ -331,22 +331,22 @@ class _Query:
             if landmarks is None
             else self._modes_with_landmarks(n, landmarks)
         )
-        centres = candidates.take(modes.centres)
-        rotation_deg, tilt_deg = self._rotations(centres)
         distances = modes.distances
         if landmarks is not None:
             # Modes are compared before the fit: a pose that must change far to fit is less likely.
             agreement = landmarks.compare(modes.points_normalised, modes.points_3d)
+            _, tilt_deg = self._rotations(candidates.take(modes.centres))
             distances = fused_distances(distances, agreement, tilt_deg)
         elif ranking is not None:
             distances = ranking.distances(modes)
         # What the network has ranked is not re-ranked later, so no spare modes are needed.
         nearest = np.argsort(distances, kind="stable")[: None if ranking is None else n]
-        modes, centres = modes.take(nearest), centres.take(nearest)
-        distances, rotation_deg, tilt_deg = (
-            values[nearest] for values in (distances, rotation_deg, tilt_deg)
-        )
-        errors_px = _outline_errors(index, queries, centres)
+        modes, distances = modes.take(nearest), distances[nearest]
+        # The entries of the modes, then those of the alternatives.
+        rows = modes.centres if depths is None else np.concatenate([modes.centres, depths.rows])
+        entries = candidates.take(rows)
+        rotation_deg, tilt_deg = self._rotations(entries)
+        errors_px = _outline_errors(index, queries, entries)
         if landmarks is None:
             features = _features(candidates, modes, errors_px)
             if ranking is not None:
@@ -358,67 +358,50 @@ class _Query:
             modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
             features = np.empty((len(modes), 0))
         distances = np.maximum(distances, at_least)
-        adjusted_m = mean_joint_distance(modes.points_3d, centres.points_3d)
+        points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
+        points_normalised, silhouette_distances = modes.points_normalised, modes.distances
+        weights: list[float | None] = [None] * len(modes)
+        if depths is not None:
+            # The best hypothesis at other depths.
+            more = len(depths.rows)
+            points_3d = np.concatenate([points_3d, moved_in_depth(points_3d[0], depths.offsets)])
+            points_normalised = np.concatenate(
+                [points_normalised, np.repeat(points_normalised[:1], more, axis=0)]
+            )
+            silhouette_distances = entries.distances.copy()
+            silhouette_distances[: len(modes)] = modes.distances
+            farther = np.exp(depths.misfits / DISTANCE_WEIGHT)
+            distances = np.concatenate([distances, distances[0] * farther])
+            weights += depths.shares.tolist()
+        adjusted_m = mean_joint_distance(
+            points_3d, rotate_clockwise(entries.points_3d, -self.roll_deg)
+        )
         if landmarks is None:
             confidences = index.calibration(reranked=ranking is not None).probability(features)
         else:
             confidences = fused_confidences(distances, adjusted_m)
-        points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
-        postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
+            confidences[len(modes) :] = confidences[0]
         hypotheses = [
             PoseHypothesis(*values)
             for values in zip(
-                centres.entry_ids.tolist(),
-                centres.mirrored.tolist(),
-                modes.distances.tolist(),
+                entries.entry_ids.tolist(),
+                entries.mirrored.tolist(),
+                silhouette_distances.tolist(),
                 errors_px.tolist(),
                 confidences.tolist(),
                 points_3d,
-                modes.points_normalised,
-                postures,
+                points_normalised,
+                self._postures(entries.entry_ids, points_3d, tilt_deg),
                 rotation_deg.tolist(),
                 tilt_deg.tolist(),
                 distances.tolist(),
                 adjusted_m.tolist(),
+                weights,
                 strict=True,
             )
         ]
-        alternatives = [] if depths is None else self._alternatives(
-            hypotheses[0], candidates.take(depths.rows), depths, queries
-        )  # fmt: skip
-        return hypotheses, features, alternatives
-
-    def _alternatives(
-        self,
-        best: PoseHypothesis,
-        centres: Candidates,
-        depths: DepthModes,
-        queries: Sequence[RotatedQuery],
-    ) -> list[PoseHypothesis]:
-        """The best hypothesis at other depths, likely ones first; each near to an entry."""
-        errors_px = _outline_errors(self.index, queries, centres)
-        points_3d = moved_in_depth(best.points_3d, depths.offsets)
-        own_3d = rotate_clockwise(centres.points_3d, -self.roll_deg)
-        rotation_deg, tilt_deg = self._rotations(centres)
-        postures = self._postures(centres.entry_ids, points_3d, tilt_deg)
-        found = [
-            replace(
-                best,
-                entry_id=int(centres.entry_ids[row]),
-                mirrored=bool(centres.mirrored[row]),
-                silhouette_distance=float(centres.distances[row]),
-                outline_distance_px=float(errors_px[row]),
-                points_3d=points_3d[row],
-                posture=posture,
-                rotation_deg=float(rotation_deg[row]),
-                tilt_deg=float(tilt_deg[row]),
-                distance=best.distance * math.exp(depths.misfits[row] / DISTANCE_WEIGHT),
-                adjusted_m=float(mean_joint_distance(points_3d[row], own_3d[row])),
-                weight=float(depths.shares[row]),
-            )
-            for row, posture in enumerate(postures)
-        ]
-        return sorted(found, key=lambda one: one.distance)
+        found, alternatives = hypotheses[: len(modes)], hypotheses[len(modes) :]
+        return found, features, sorted(alternatives, key=lambda one: one.distance)
 
     def _rotations(self, centres: Candidates) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Rotations of candidates ``(M,)`` for a camera that is not rolled, and their tilts."""
