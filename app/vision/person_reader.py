@@ -127,7 +127,12 @@ class PersonReader:
 
         None if nobody is seen beside them.
         """
-        reading = self.read(without_bodies(frame, box, keypoints, others), box, keypoints)
+        alone = without_bodies(frame, box, keypoints, others)
+        window = PersonWindow.about_box(box, trunk_roll_deg(keypoints) or 0.0)
+        first = self.network.read(alone, window)
+        if reading_quality(first, keypoints) < _HOPELESS_QUALITY:
+            return None
+        reading = self.read(alone, box, keypoints, expected=first)
         is_seen = reading.presence >= MIN_PRESENCE
         fits = reading_quality(reading, keypoints) >= _MIN_QUALITY_BESIDE
         return reading if is_seen and fits else None
@@ -160,8 +165,9 @@ class PersonReader:
         return max(best, self.network.read(frame, best.next_window), key=quality_of)
 
 
-# Least quality of a reading beside others; chosen on rendered groups.
-_MIN_QUALITY_BESIDE = 0.5
+# Least quality of a reading beside others, and that of a first reading below which no other window
+# shows anybody; chosen on rendered groups.
+_MIN_QUALITY_BESIDE, _HOPELESS_QUALITY = 0.5, 0.2
 # Limbs by their ends, COCO keypoints.
 _LIMB_ENDS = (
     (0, 5), (0, 6), (5, 6), (5, 7), (7, 9), (6, 8), (8, 10), (5, 11), (6, 12), (11, 12), (11, 13),
