@@ -358,8 +358,8 @@ class _Query:
             modes = replace(modes, points_3d=points_3d, points_normalised=points_normalised)
             features = np.empty((len(modes), 0))
         distances = np.maximum(distances, at_least)
-        points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
-        points_normalised, silhouette_distances = modes.points_normalised, modes.distances
+        points_3d, points_normalised = modes.points_3d, modes.points_normalised
+        silhouette_distances = modes.distances
         weights: list[float | None] = [None] * len(modes)
         if depths is not None:
             # The best hypothesis at other depths.
@@ -373,9 +373,8 @@ class _Query:
             farther = np.exp(depths.misfits / DISTANCE_WEIGHT)
             distances = np.concatenate([distances, distances[0] * farther])
             weights += depths.shares.tolist()
-        adjusted_m = mean_joint_distance(
-            points_3d, rotate_clockwise(entries.points_3d, -self.roll_deg)
-        )
+        adjusted_m = mean_joint_distance(points_3d, entries.points_3d)
+        points_3d = rotate_clockwise(points_3d, -self.roll_deg)
         if landmarks is None:
             confidences = index.calibration(reranked=ranking is not None).probability(features)
         else:

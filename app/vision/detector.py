@@ -41,7 +41,7 @@ _LARGE_PERSON_PX = 96.0
 _SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
 # Overlap from which two boxes show one person; two people side by side reach 0.3.
 _NMS_IOU = 0.4
-# Probability from which a person close to others may be one of whom these hide a part.
+# Probability from which a detection close to others may be a person whom they partly hide.
 _MIN_HIDDEN_PROBABILITY = 0.15
 _MIN_MOVENET_SCORE = 0.02  # MoveNet's lower scores are ignored.
 _MIN_BODY_SCORE = 0.3  # Least score of BlazePose's detector.

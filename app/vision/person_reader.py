@@ -155,7 +155,12 @@ class PersonReader:
 
         readings: list[PoseReading] = []
         for known in windows if expected is None else chain([expected], windows):
-            reading = known if isinstance(known, PoseReading) else self.network.read(frame, known)
+            if isinstance(known, PoseReading):
+                reading = known
+            elif any(known.on_grid() == earlier.window for earlier in readings):
+                continue  # An expected reading is of this window.
+            else:
+                reading = self.network.read(frame, known)
             if quality_of(reading) >= _GOOD_QUALITY:
                 return reading
             readings.append(reading)
