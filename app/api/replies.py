@@ -248,8 +248,8 @@ def _observed(
 ) -> list[schemas.ObservedKeypoint | None]:
     names = COCO_NAMES if keypoints == "coco17" else LANDMARK_NAMES
     rows = [LANDMARK_NAMES.index(name) for name in names]
-    depths, sd = landmarks.metres[:, 2], np.sqrt(np.diag(landmarks.depth_covariance))
-    values = np.column_stack([landmarks.positions, depths, sd, landmarks.visibility])[rows]
+    depths = landmarks.metres[:, 2:], landmarks.depth_sd[:, None]
+    values = np.hstack([landmarks.positions, *depths, landmarks.visibility[:, None]])[rows]
     return [
         schemas.ObservedKeypoint(
             name=name,

@@ -282,8 +282,7 @@ class PeopleFinder:
             landmarks=replace(
                 visible,
                 metres=metres,
-                depth_sd=judged.body.depth_sd,
-                depth_covariance=self.models.judgement.depth.covariance(judged.body.depth_sd),
+                depth_covariance=self.models.judgement.depth.covariance(judged.body.sigmas),
             ),
             frame_posture=judged.posture,
             trust=judged.trust,

@@ -134,7 +134,7 @@ class PlacedSkeletons:
 _MIN_MOVING_VISIBILITY = 0.05
 # Standard deviation of a landmark's depth at which the first hypothesis moves half way to it: the
 # hypothesis has been fitted to the landmarks, so it adds little information.
-_HALF_WAY_SD_M = 0.3
+_HALF_WAY_SD_M = 0.24
 # Limits of the person's size relative to a hypothesis.
 _SIZES = (0.8, 1.25)
 # Least forward component of a joint's line of sight, and its least distance.

@@ -48,11 +48,6 @@ class Body3D:
     origin: NDArray[np.float64]
     sight: NDArray[np.float64]
 
-    @property
-    def depth_sd(self) -> NDArray[np.float64]:
-        """Standard deviations ``(33,)`` of the depths, those of Laplace distributions, metres."""
-        return np.sqrt(2) * self.sigmas
-
     def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
         """The points ``(33, 3)`` in the axes of the line of sight to the hips."""
         hips = landmarks.positions[HIPS].mean(axis=0)
@@ -107,16 +102,16 @@ class DepthModel:
     Parameters
     ----------
     moments : (33, 33) float64 array
-        Second moments of the errors, each divided by its standard deviation: a body that leans errs
-        as a whole.
+        Second moments of the errors, each divided by the standard deviation of its Laplace
+        distribution: a body that leans errs as a whole.
     """
 
     network: DenseNetwork
     moments: NDArray[np.float64]
 
-    def covariance(self, depth_sd: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Covariance ``(33, 33)`` of depths with standard deviations ``(33,)``."""
-        return depth_sd[:, None] * self.moments * depth_sd
+    def covariance(self, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Covariance ``(33, 33)`` of depths with expected absolute errors ``(33,)``."""
+        return 2 * sigmas[:, None] * self.moments * sigmas
 
     def correct(self, reading: PoseReading, camera: PinholeCamera) -> Depths:
         """Correct the depths of a reading."""

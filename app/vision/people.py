@@ -113,8 +113,6 @@ class Landmarks:
     metres : (33, 3) float64 array
         Relative to the middle of the hips, axes of the line of sight to them: x right, y down, z
         away from the camera.
-    depth_sd : (33,) float64 array
-        Standard deviation of the depths, metres.
     depth_covariance : (33, 33) float64 array
         Covariance of the errors of the depths, square metres.
     """
@@ -122,22 +120,22 @@ class Landmarks:
     positions: NDArray[np.float64]
     visibility: NDArray[np.float64]
     metres: NDArray[np.float64]
-    depth_sd: NDArray[np.float64] = field(
-        default_factory=lambda: np.full(len(LANDMARK_NAMES), NETWORK_DEPTH_SD_M)
-    )
     depth_covariance: NDArray[np.float64] = field(
         default_factory=lambda: NETWORK_DEPTH_SD_M**2 * np.eye(len(LANDMARK_NAMES))
     )
 
     def __post_init__(self) -> None:
         count = len(LANDMARK_NAMES)
-        arrays = (
-            self.positions, self.visibility, self.metres, self.depth_sd, self.depth_covariance
-        )  # fmt: skip
+        arrays = self.positions, self.visibility, self.metres, self.depth_covariance
         shapes = tuple(array.shape for array in arrays)
-        expected = ((count, 2), (count,), (count, 3), (count,), (count, count))
+        expected = ((count, 2), (count,), (count, 3), (count, count))
         if shapes != expected:
             raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
+
+    @property
+    def depth_sd(self) -> NDArray[np.float64]:
+        """Standard deviations ``(33,)`` of the errors of the depths, metres."""
+        return np.sqrt(np.diag(self.depth_covariance))
 
     def box(self) -> Box:
         """The box about all landmarks, visible or not; at least a pixel each way."""

@@ -195,7 +195,7 @@ def landmarks_of(placed: NDArray[np.float64], visibility: float = 0.9) -> Landma
     line = to_line_of_sight(CAMERA.rays(pixels[landmark_hips].mean(axis=0)))
     metres = (placed[rows] - hips) @ line.T
     count = len(LANDMARK_NAMES)
-    return Landmarks(pixels, np.full(count, visibility), metres, np.full(count, 1e-3))
+    return Landmarks(pixels, np.full(count, visibility), metres, 1e-6 * np.eye(count))
 
 
 @given(x=st.floats(-2, 2), y=st.floats(-0.5, 0.5), z=st.floats(3, 8))
