@@ -131,9 +131,9 @@ class PeopleFinder:
         return found
 
     def read(
-        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job, *, masks: bool
+        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
     ) -> list[PoseReading | None]:
-        """Read landmarks of people, and masks if wanted.
+        """Read landmarks of people, without their masks.
 
         None stands where a track's window shows nobody any more, and for detections that are not
         certain.
@@ -142,25 +142,17 @@ class PeopleFinder:
 
         def read(target: Target) -> PoseReading | None:
             expected, found = target.expected, target.detection
-            reading: PoseReading | None
             if found is not None and not found.certain:
                 return None
             if found is None and isinstance(expected, PoseReading):
-                reading = expected
-            elif found is None and isinstance(expected, PersonWindow):
-                reading = reader.follow(frame, expected)
-            else:
-                found = found or Detection(target.box, 1.0)
-                reading = reader.read(frame, found.box, found.keypoints, found.windows, expected)
-            if reading is None:
-                return None
-            return self._finished(reading, masks)
+                return expected
+            if found is None and isinstance(expected, PersonWindow):
+                return reader.follow(frame, expected)
+            found = found or Detection(target.box, 1.0)
+            return reader.read(frame, found.box, found.keypoints, found.windows, expected)
 
         with job.stage("keypoints"):
             return job.map(read, targets)
-
-    def _finished(self, reading: PoseReading, masks: bool) -> PoseReading:
-        return self.models.reader.with_mask(reading) if masks else replace(reading, mask_inputs=())
 
     def observe(
         self,
@@ -195,20 +187,26 @@ class PeopleFinder:
         frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
         readings: list[PoseReading | None] = [None] * len(targets)
         if reads:
-            readings = self.read(frame, targets, job, masks=cut is None)
-        rows = [*range(len(targets))]
+            readings = self.read(frame, targets, job)
+        rows, beside = [*range(len(targets))], list[int]()
         if reads and not marked:
             rows = distinct(targets, readings)
-            rows += self._read_beside(frame, targets, readings, rows, job, masks=cut is None)
-            rows.sort()
+            beside = self._read_beside(frame, targets, readings, rows, job)
+            rows = sorted(rows + beside)
         boxes = [_box(targets[row], readings[row]) for row in rows]
-        with job.stage("segment"):
-            read = [reading for row in rows if (reading := readings[row])]
-            silhouettes = (
-                silhouettes_of(read, boxes, frame.shape, exact=marked, checkpoint=job.checkpoint)
-                if cut is None
-                else cut(boxes)
+        if cut is None:
+            with job.stage("keypoints"):
+                read = [reading for row in rows if (reading := readings[row])]
+                masked = job.map(self.models.reader.with_mask, read)
+            cut = partial(
+                silhouettes_of,
+                masked,
+                frame_shape=frame.shape,
+                exact=marked,
+                checkpoint=job.checkpoint,
             )
+        with job.stage("segment"):
+            silhouettes = cut(boxes)
         people: list[Person | None] = [None] * len(targets)
         for row, box, silhouette in zip(rows, boxes, silhouettes, strict=True):
             reading = readings[row]
@@ -219,7 +217,7 @@ class PeopleFinder:
             score, detection = targets[row].score, targets[row].detection
             if score is not None and detection is not None and not detection.certain:
                 score = max(score, _READ_BESIDE_SCORE)
-            person = Person(box, source, score, silhouette)
+            person = Person(box, source, score, silhouette, beside=row in beside)
             people[row] = self._with_reading(person, reading, upload, landmarks)
         return people
 
@@ -230,8 +228,6 @@ class PeopleFinder:
         readings: list[PoseReading | None],
         kept: Sequence[int],
         job: Job,
-        *,
-        masks: bool,
     ) -> list[int]:
         """Read detections that are not certain, and those whose readings show the bodies of others.
 
@@ -250,7 +246,7 @@ class PeopleFinder:
                 )
                 if reading is None or len(distinct_bodies([*bodies, reading])) == len(bodies):
                     continue
-                readings[row] = self._finished(reading, masks)
+            readings[row] = reading
             bodies.append(reading)
             rows.append(row)
         return rows

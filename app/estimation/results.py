@@ -56,8 +56,9 @@ class Person:
     people, no silhouette where none was found in a caller's box; landmarks and all that follows
     from them, ``trust`` and the frame's posture among it, are None where these were not read.
     ``presence`` is the probability, from the landmark network, that a person is there,
-    ``next_window`` where it would look in the next frame. Hypotheses come best first; without a
-    silhouette there are none, and neither facing nor posture.
+    ``next_window`` where it would look in the next frame, ``beside`` whether it saw the person only
+    while others were painted over. Hypotheses come best first; without a silhouette there are none,
+    and neither facing nor posture.
     """
 
     box: Box
@@ -67,6 +68,7 @@ class Person:
     landmarks: Landmarks | None = None
     presence: float | None = None
     next_window: PersonWindow | None = None
+    beside: bool = False
     frame_posture: FramePosture | None = None
     trust: Trust | None = None
     facing: Facing | None = None

@@ -67,9 +67,10 @@ class TrackedPeopleDetector:
         """Tracks in their windows or, if that is not enough, all people found by a search.
 
         The search uses a lower threshold near people who have been lost, until their tracks end. A
-        lost track that was not confirmed, or whose person has left the frame, does not cause a
-        search before the next one is due; nor does a person who fell and lies where they were last
-        seen. Without tracks, every frame is searched unless the scene is still.
+        lost track that was not confirmed, or whose person has left the frame or was hardly seen
+        behind others, does not cause a search before the next one is due; nor does a person who
+        fell and lies where they were last seen. Without tracks, every frame is searched unless the
+        scene is still.
         """
         recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
         expected: Expected = {one: one.next_window for one in recent if one.next_window}
@@ -84,7 +85,12 @@ class TrackedPeopleDetector:
         if (expected or still or lies) and len(expected) == len(recent) and not due:
             expected = self._shown(frame, timestamp, expected, job)
             gone = [track for track in people if track in recent and track not in expected]
-            if all(ends_at_border(track.box_filter.seen, frame.shape) for track in gone):
+            may_be_there = [
+                track
+                for track in gone
+                if not (track.beside or ends_at_border(track.box_filter.seen, frame.shape))
+            ]
+            if not may_be_there:
                 return _followed(expected, timestamp)
             lost += [track for track in gone if track not in lost]
         found = self._finder.search(frame, job, [track.box_filter.seen for track in lost])
@@ -108,7 +114,7 @@ class TrackedPeopleDetector:
     ) -> Expected:
         """Read tracks in their windows; those that still show their people, with the readings."""
         targets = [target for target, _ in _followed(expected, timestamp)]
-        readings = zip(expected, self._finder.read(frame, targets, job, masks=True), strict=True)
+        readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
         return {track: reading for track, reading in readings if reading is not None}
 
 

@@ -82,6 +82,8 @@ class Track:
         self._patch = sighting.patch
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
+        self.beside = person.beside
+        """Whether others hid the person so that this window hardly shows them."""
         self.appearance = sighting.appearance
         self._smoother = PoseSmoother()
         self._recogniser = ActionRecogniser()
@@ -124,7 +126,8 @@ class Track:
             gain = 1 - math.exp(-elapsed / _WINDOW_MEAN_S)
             odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
-        self.next_window, self._patch, self.lies_at = person.next_window, sighting.patch, None
+        self.next_window, self.beside = person.next_window, person.beside
+        self._patch, self.lies_at = sighting.patch, None
         if self.appearance is None:
             self.appearance = sighting.appearance
         # A partly hidden person would take on the colours of the person in front.

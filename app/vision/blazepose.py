@@ -216,8 +216,6 @@ class MaskNetwork:
 
     def read(self, reading: PoseReading) -> PoseReading:
         """The same reading with its mask."""
-        if reading.probability is not None:
-            return reading
         (log_odds,) = self._network.run(*reading.mask_inputs)
         return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())
 

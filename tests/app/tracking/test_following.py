@@ -48,6 +48,23 @@ def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
     assert reader.passes == before + 2
 
 
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_person_who_was_hardly_seen_behind_others_is_not_searched_for_at_once(
+    drawn: Estimator, detector: ColourDetector, beside: bool
+) -> None:
+    people = TrackedPeopleDetector(drawn.finder)
+    both, one = (
+        drawn.decode(Upload(draw(*who)), Job()) for who in (((0, 10), (1, 200)), ((1, 200),))
+    )
+    tracks = []
+    for number, found in enumerate(people.find(both, 0.0, [], Job())):
+        tracks.append(Track(replace(found, person=replace(found.person, beside=beside)), 0.0))
+        tracks[-1].confirm(number, 0.0, ())
+    detector.searches = 0
+    assert len(people.find(one, 0.1, tracks, Job())) == 1
+    assert detector.searches == (0 if beside else 1)
+
+
 def test_a_detection_larger_than_the_body_moves_no_box(
     session: CameraSession, detector: ColourDetector
 ) -> None:
