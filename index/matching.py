@@ -90,9 +90,6 @@ class PoseHypothesis:
     silhouette_distance : float
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
-    outline_distance_px : float
-        Mean distance between the outlines of the query and of the entry, averaged both ways, in
-        pixels of the normalised frame.
     confidence : float
         Probability that the mean joint error in the normalised frame is below 5 px; see
         :mod:`index.confidence`.
@@ -115,12 +112,14 @@ class PoseHypothesis:
     weight : float or None
         Probability that this hypothesis is nearer to the truth than all others of the first
         :data:`DEFAULT_HYPOTHESES`; 0 for later ones, None without landmarks.
+    outline_distance_px : float
+        Mean distance between the outlines of the query and of the entry, averaged both ways, in
+        pixels of the normalised frame; not a number of those that only vote.
     """
 
     entry_id: int
     mirrored: bool
     silhouette_distance: float
-    outline_distance_px: float
     confidence: float
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
@@ -130,6 +129,7 @@ class PoseHypothesis:
     distance: float = 0.0
     adjusted_m: float = 0.0
     weight: float | None = None
+    outline_distance_px: float = math.nan
 
     def __post_init__(self) -> None:
         if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
@@ -213,12 +213,7 @@ def match(
     while len(found) < n or size < n:
         size *= 2
         later, later_features, _ = query.batch(size, at_least=found[-1].distance)
-        known = np.array([one.points_3d for one in found])
-        new = [
-            row
-            for row, one in enumerate(later)
-            if mean_joint_distance(one.points_3d[None], known).min() >= MIN_NEW_POSE_M
-        ]
+        new = _unlike(later, found)
         if not new and size >= _MAX_BATCH_GROWTH * n:
             break
         found = found + [later[row] for row in new]
@@ -234,15 +229,26 @@ def match(
     distances = np.array([one.distance for one in found])
     chosen = nearest_of_both_facings(azimuths, distances, front_probability, pools[:count])
     ascending = np.maximum.accumulate(distances[chosen])
+    returned = [found[row] for row in chosen]
+    outline_px = query.outline_distances(
+        np.array([one.entry_id for one in returned]),
+        np.array([one.mirrored for one in returned]),
+        np.array([one.rotation_deg for one in returned]) + roll_deg,
+    )
     hypotheses = [
         replace(
-            found[row],
+            one,
             distance=distance,
             confidence=confidence,
-            weight=found[row].weight or 0.0,
+            weight=one.weight or 0.0,
+            outline_distance_px=pixels,
         )
-        for row, distance, confidence in zip(
-            chosen, ascending.tolist(), confidences[chosen].tolist(), strict=True
+        for one, distance, confidence, pixels in zip(
+            returned,
+            ascending.tolist(),
+            confidences[chosen].tolist(),
+            outline_px.tolist(),
+            strict=True,
         )
     ]
     return Match(hypotheses, features[chosen], front_probability, voters)
@@ -273,13 +279,17 @@ def _weighted(
         *(replace(one, weight=share * (one.weight or 0.0)) for one in alternatives),
         *(replace(one, weight=(1 - share) * one.confidence / votes) for one in away),
     ]
-    known = np.array([one.points_3d for one in weighted])
-    new = [
-        one
-        for one in facing[1:]
-        if mean_joint_distance(one.points_3d[None], known).min() >= MIN_NEW_POSE_M
-    ]
-    return weighted + new, len(weighted)
+    new = _unlike(facing[1:], weighted)
+    return weighted + [facing[1 + row] for row in new], len(weighted)
+
+
+def _unlike(others: Sequence[PoseHypothesis], known: Sequence[PoseHypothesis]) -> list[int]:
+    """Rows of the hypotheses that are new poses, unlike all that are known."""
+    if not others:
+        return []
+    poses, earlier = (np.array([one.points_3d for one in some]) for some in (others, known))
+    nearest = mean_joint_distance(poses[:, None], earlier).min(axis=1)
+    return np.flatnonzero(nearest >= MIN_NEW_POSE_M).tolist()
 
 
 # Number of nearest entries without landmarks; more add few useful modes. A network that ranks the
@@ -296,8 +306,8 @@ _MAX_CANDIDATE_GROWTH = 16
 _MAX_STANDING_TILT_DEG = 30.0
 
 
-_Found = tuple[list[RotatedQuery], Candidates, Modes, DepthModes | None]
-"""Queries, candidates and their modes; with landmarks, depths in the first batch."""
+_Found = tuple[Candidates, Modes, DepthModes | None]
+"""Candidates and their modes; with landmarks, depths in the first batch."""
 
 
 @dataclass(frozen=True)
@@ -326,7 +336,7 @@ class _Query:
         In the first batch, if there are landmarks, also alternatives to the best, nearest first.
         """
         index, ranking, landmarks = self.index, self.ranking, self.landmarks
-        queries, candidates, modes, depths = (
+        candidates, modes, depths = (
             self._modes_of_silhouette(n)
             if landmarks is None
             else self._modes_with_landmarks(n, landmarks)
@@ -346,9 +356,12 @@ class _Query:
         rows = modes.centres if depths is None else np.concatenate([modes.centres, depths.rows])
         entries = candidates.take(rows)
         rotation_deg, tilt_deg = self._rotations(entries)
-        errors_px = _outline_errors(index, queries, entries)
+        outline_px = np.full(len(entries), np.nan)
         if landmarks is None:
-            features = _features(candidates, modes, errors_px)
+            outline_px = self.outline_distances(
+                entries.entry_ids, entries.mirrored, entries.rotation_deg
+            )
+            features = _features(candidates, modes, outline_px)
             if ranking is not None:
                 features = ranking.features(features, modes, distances)
         else:
@@ -386,7 +399,6 @@ class _Query:
                 entries.entry_ids.tolist(),
                 entries.mirrored.tolist(),
                 silhouette_distances.tolist(),
-                errors_px.tolist(),
                 confidences.tolist(),
                 points_3d,
                 points_normalised,
@@ -396,6 +408,7 @@ class _Query:
                 distances.tolist(),
                 adjusted_m.tolist(),
                 weights,
+                outline_px.tolist(),
                 strict=True,
             )
         ]
@@ -407,6 +420,21 @@ class _Query:
         rotation_deg = centres.rotation_deg - self.roll_deg
         entry_roll_deg = self.index.roll_deg(centres.entry_ids, centres.mirrored)
         return rotation_deg, wrap_degrees(rotation_deg + entry_roll_deg)
+
+    def outline_distances(
+        self,
+        entry_ids: NDArray[np.int64],
+        mirrored: NDArray[np.bool_],
+        rotation_deg: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Outline distances ``(M,)`` of entries, as rotated in the frame of the silhouette."""
+        silhouettes = self.index.silhouettes(entry_ids)
+        silhouettes[mirrored] = silhouettes[mirrored, :, ::-1]
+        distances = np.empty(len(entry_ids))
+        for rotation in np.unique(rotation_deg).tolist():
+            query, rows = RotatedQuery.of(self.silhouette, rotation), rotation_deg == rotation
+            distances[rows] = outline_distances(query.silhouette, silhouettes[rows])
+        return distances
 
     def _modes_of_silhouette(self, n: int) -> _Found:
         """Take more and more candidates until they have ``n`` modes or the index has no more."""
@@ -425,7 +453,7 @@ class _Query:
                 modes = find_modes(candidates, count, support=support, fit=ranking.fit)
             exhausted = len(candidates) < k
             if len(modes) >= n or exhausted or k >= _MAX_CANDIDATE_GROWTH * _CANDIDATES:
-                return queries, candidates, modes, None
+                return candidates, modes, None
             k *= 2
 
     def _modes_with_landmarks(self, n: int, landmarks: NormalisedLandmarks) -> _Found:
@@ -454,7 +482,7 @@ class _Query:
         depths = None
         if n == DEFAULT_HYPOTHESES:
             depths = depth_modes(candidates, landmarks, agreement, n - 2)
-        return queries, candidates, modes, depths
+        return candidates, modes, depths
 
     def _near_landmarks(self, landmarks: NormalisedLandmarks, growth: int) -> NearestEntries:
         """Entries near the landmarks in three dimensions, with their rotations in the query."""
@@ -523,20 +551,6 @@ def _placed_by_landmarks(candidates: Candidates, landmarks: NormalisedLandmarks)
     )
     placed = (plane - middle) * np.maximum(scale, _MIN_PX_PER_METRE)[:, None, None] + target
     return replace(candidates, points_normalised=placed)
-
-
-def _outline_errors(
-    index: PoseIndex, queries: Sequence[RotatedQuery], centres: Candidates
-) -> NDArray[np.float64]:
-    """Outline distances ``(M,)`` between the silhouettes of entries and the rotated query."""
-    silhouettes = index.silhouettes(centres.entry_ids)
-    silhouettes[centres.mirrored] = silhouettes[centres.mirrored, :, ::-1]
-    errors_px = np.empty(len(centres))
-    for query in queries:
-        rows = centres.rotation_deg == query.rotation_deg
-        if rows.any():
-            errors_px[rows] = outline_distances(query.silhouette, silhouettes[rows])
-    return errors_px
 
 
 # Mean joint distances below which a candidate agrees with a mode.

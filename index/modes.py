@@ -327,8 +327,7 @@ def _interpolate(
     """Interpolate modes, each a centre and weights ``(K,)``, to where offsets ``(K, E)`` vanish."""
     centres = [centre for centre, _ in weighted_centres]
     weights = np.stack([weights for _, weights in weighted_centres])
-    # Modes are computed one by one, so that none depends on how many others there are.
-    combinations = np.stack([_combination(own, offsets) for own in weights])
+    combinations = _combinations(weights, offsets)
     return Modes(
         np.array(centres),
         weights.sum(axis=1),
@@ -340,19 +339,24 @@ def _interpolate(
     )
 
 
-def _combination(weights: NDArray[np.float64], offsets: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares ``(K,)``, summing to 1, by which a mode's members make up the interpolated pose."""
-    members = np.flatnonzero(weights > _MIN_MEMBER_WEIGHT * weights.max())
-    shares = weights[members] / weights[members].sum()
-    mean = shares @ offsets[members]
-    centred = offsets[members] - mean
-    scatter = (shares[:, None] * centred).T @ centred
+def _combinations(
+    weights: NDArray[np.float64], offsets: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shares ``(M, K)``, summing to 1, by which members make up the interpolated pose of a mode."""
+    shares = np.where(weights > _MIN_MEMBER_WEIGHT * weights.max(axis=1)[:, None], weights, 0.0)
+    shares /= shares.sum(axis=1)[:, None]
+    means = shares @ offsets
+    scatters = np.empty((*means.shape, means.shape[1]))
+    for own, scatter in zip(shares, scatters, strict=True):
+        members = np.flatnonzero(own)
+        near = offsets.take(members, axis=0)
+        np.matmul((near * own.take(members)[:, None]).T, near, out=scatter)
+    scatters -= means[:, :, None] * means[:, None]
     # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
-    diagonal = np.einsum("dd->d", scatter)
-    diagonal += _RIDGE * diagonal.sum() * (shares**2).sum() + 1e-9
-    combination = np.zeros(len(weights))
-    combination[members] = shares * (1 - centred @ np.linalg.solve(scatter, mean))
-    return combination
+    diagonals = np.einsum("mdd->md", scatters)
+    diagonals += (_RIDGE * diagonals.sum(axis=1) * (shares**2).sum(axis=1) + 1e-9)[:, None]
+    slopes = np.linalg.solve(scatters, means[..., None])[..., 0]
+    return shares * (1 + (slopes * means).sum(axis=1)[:, None] - slopes @ offsets.T)
 
 
 def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
