@@ -25,6 +25,7 @@ from index.skeleton import (
     bone_lengths,
     pixels_per_metre,
     side_rows,
+    squared_lengths,
     with_bone_lengths,
 )
 
@@ -109,7 +110,7 @@ class NormalisedLandmarks:
         mass = self._mass(offsets)
         likelihood = _log_likelihoods(mass)
         limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
-        squares = _squares(self._offsets_of_limbs(limbs))
+        squares = squared_lengths(self._offsets_of_limbs(limbs))
         near = self.limb_scores * np.exp(-squares / (2 * _SIGMA_M**2))
         likelihood += _LIMB_WEIGHT * _log_likelihoods(near)
         likelier = likelihood.argmax(axis=1)
@@ -141,7 +142,7 @@ class NormalisedLandmarks:
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Likelihoods ``(..., P)`` of landmarks at offsets ``(..., P, 2)`` if not outliers."""
-        mass = self.scores * np.exp(_squares(offsets) / (-2 * self.sigma_px**2))
+        mass = self.scores * np.exp(squared_lengths(offsets) / (-2 * self.sigma_px**2))
         mass[mass < _MIN_MASS] = 0
         return mass
 
@@ -250,7 +251,7 @@ def fit_to_landmarks(
             moved[..., :2] += moves / px_per_metre
             moved = with_bone_lengths(moved, lengths)
             # The pelvis has no landmark and follows the hips.
-            placed = placed + moves[:, _HIP_POINTS].mean(axis=1, keepdims=True)
+            placed = placed + moves.take(_HIP_POINTS, axis=1).sum(axis=1, keepdims=True) / 2
             placed += (moved - fitted)[..., :2] * px_per_metre
             fitted = moved
     return fitted, placed
@@ -262,7 +263,7 @@ def _moved_in_depth(
     """Move skeletons ``(M, 24, 3)`` towards the landmarks in three dimensions."""
     offsets = landmarks.limb_offsets(points_3d)
     shares = np.repeat(_DEPTH_SHARE * landmarks.limb_scores[None], len(points_3d), axis=0)
-    near = np.exp(-_squares(offsets) / (2 * _SIGMA_M**2))
+    near = np.exp(-squared_lengths(offsets) / (2 * _SIGMA_M**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
     moved[:, LIMB_ROWS] += shares[..., None] * offsets
@@ -306,14 +307,6 @@ def _log_likelihoods(mass: NDArray[np.float64]) -> NDArray[np.float64]:
     """Sums ``(...)`` of the log likelihoods of points, each an inlier or an outlier."""
     likelihoods: NDArray[np.float64] = np.log((mass + OUTLIER_WEIGHT) / (1 + OUTLIER_WEIGHT))
     return likelihoods.sum(axis=-1)
-
-
-def _squares(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Squared lengths; NumPy is several times slower along axes of length two or three."""
-    squares = vectors[..., 0] * vectors[..., 0]
-    for axis in range(1, vectors.shape[-1]):
-        squares += vectors[..., axis] * vectors[..., axis]
-    return squares
 
 
 def _with_other_side(rows: Sequence[int]) -> NDArray[np.int64]:

@@ -242,7 +242,7 @@ def _spread_modes(
         modes[mode] = truths[best]
         nearest = np.minimum(nearest, apart[:, best : best + 1])
     for _ in range(_LLOYD_STEPS):
-        cells = _depth_distances(truths, modes).argmin(axis=1)
+        cells = _joint_squares(truths[..., None], modes[..., None]).argmin(axis=1)
         members = shares[:, None] * (cells[:, None] == np.arange(len(modes)))
         members[:, 0] = 0
         filled = members.sum(axis=0) > 0

@@ -65,7 +65,9 @@ _MASSES = {
     "left_hip": 0.05, "right_hip": 0.05, "left_knee": 0.07, "right_knee": 0.07,
     "left_ankle": 0.04, "right_ankle": 0.04,
 }  # fmt: skip
-_FEET = ("left_ankle", "left_toe", "right_ankle", "right_toe")
+_FEET = rows("left_ankle", "left_toe", "right_ankle", "right_toe", among=JOINT_NAMES)
+_FIRST, _SECOND = np.triu_indices(len(_FEET), 1)
+"""Pairs of these points."""
 
 
 @dataclass(frozen=True)
@@ -181,18 +183,12 @@ def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[
 
 def _distance_from_feet(bodies: _Skeletons) -> NDArray[np.float64]:
     """Horizontal distance ``(N,)`` of the centre of mass from lines between points of the feet."""
-
-    def horizontal(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        return vectors - bodies.along_up(vectors)[:, None] * bodies.up
-
-    total = sum(_MASSES.values())
-    centre = sum(share * bodies.at(name) for name, share in _MASSES.items()) / total
-    nearest = np.full(len(bodies.joints), np.inf)
-    feet = [horizontal(bodies.at(name) - centre) for name in _FEET]
-    for first, start in enumerate(feet):
-        for end in feet[first + 1 :]:
-            line = end - start
-            length = np.maximum((line**2).sum(axis=1), 1e-12)
-            share = np.clip(-(start * line).sum(axis=1) / length, 0, 1)
-            nearest = np.minimum(nearest, np.linalg.norm(start + share[:, None] * line, axis=1))
-    return nearest
+    weighted = sum(share * bodies.at(name) for name, share in _MASSES.items())
+    centre = np.asarray(weighted) / sum(_MASSES.values())
+    feet = bodies.joints[:, _FEET] - centre[:, None]
+    feet -= bodies.along_up(feet)[..., None] * bodies.up[:, None]
+    start = feet[:, _FIRST]
+    line = feet[:, _SECOND] - start
+    length = np.maximum((line**2).sum(axis=-1), 1e-12)
+    share = np.clip(-(start * line).sum(axis=-1) / length, 0, 1)
+    return np.linalg.norm(start + share[..., None] * line, axis=-1).min(axis=1)
