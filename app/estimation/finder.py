@@ -119,14 +119,19 @@ class PeopleFinder:
         return "detector" if scene is None else "background", targets, cut
 
     def search(
-        self, frame: NDArray[np.uint8], job: Job, lost: Sequence[Box] = ()
+        self,
+        frame: NDArray[np.uint8],
+        job: Job,
+        lost: Sequence[Box] = (),
+        known: Sequence[Box] = (),
     ) -> list[Detection]:
         """Detect the people of a whole frame, best first.
 
-        ``lost`` are boxes of people who were there a moment ago and were not seen to leave.
+        ``lost`` are boxes of people who were there a moment ago and were not seen to leave,
+        ``known`` those of people who are followed.
         """
         with job.stage("detect"):
-            found = self.models.detector.detect(frame, lost)[: self.max_persons]
+            found = self.models.detector.detect(frame, lost, known)[: self.max_persons]
         job.checkpoint()
         return found
 

@@ -93,7 +93,8 @@ class TrackedPeopleDetector:
             if not may_be_there:
                 return _followed(expected, timestamp)
             lost += [track for track in gone if track not in lost]
-        found = self._finder.search(frame, job, [track.box_filter.seen for track in lost])
+        known = [one.box_filter.predict(timestamp) for one in expected if one in people]
+        found = self._finder.search(frame, job, [one.box_filter.seen for one in lost], known)
         self._searched_at = timestamp
         self._scene.restart()
         unseen = dict(expected)

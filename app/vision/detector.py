@@ -1,7 +1,8 @@
 """Detection of people with both networks and, beside them, HOG.
 
 MoveNet sees the whole frame once. If the smallest wanted person would be too small in it, MoveNet
-sees the frame again at a higher resolution, in tiles.
+sees the frame again at a higher resolution, in tiles. Where a person is doubtful, a detector of
+objects compares the person with animals and furniture.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ from app.vision.geometry import (
     non_max_suppression,
     shrink_quickly,
 )
-from app.vision.hog import PERSON_PX, hog_margin
 from app.vision.models import fitted_constants
 from app.vision.movenet import MoveNet
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
+from app.vision.person_reader import trunk_roll_deg
+from app.vision.rescoring import PERSON_PX, ObjectNetwork, hog_margin
 
 MIN_DETECTION_SCORE = 0.3
 """Probability from which a detection is reported by default."""
@@ -41,6 +43,15 @@ _LARGE_PERSON_PX = 96.0
 _SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
 # Overlap from which two boxes show one person; two people side by side reach 0.3.
 _NMS_IOU = 0.4
+DOUBTFUL_BELOW = 0.8
+"""Probability below which a detection is compared with other objects."""
+
+# Side of the window in which a detection is compared, relative to the longer side of the box, and
+# the turn of the trunk from which it is also compared upright: the network hardly knows people who
+# lie.
+_OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
+# Overlap from which a detection is a person known already.
+_KNOWN_IOU = 0.3
 # Probability from which a detection close to others may be a person whom they partly hide.
 _MIN_HIDDEN_PROBABILITY = 0.15
 _MIN_MOVENET_SCORE = 0.02  # MoveNet's lower scores are ignored.
@@ -60,6 +71,8 @@ class NetworkDetector:
     ----------
     landmarks : LandmarkNetwork
         Confirms people that MoveNet misses.
+    objects : ObjectNetwork
+        Compares doubtful people with other objects.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     min_score : float
@@ -71,6 +84,7 @@ class NetworkDetector:
         movenet: MoveNet,
         body_detector: BlazePoseDetector,
         landmarks: LandmarkNetwork,
+        objects: ObjectNetwork,
         *,
         min_person_px: float | None = None,
         min_score: float = MIN_DETECTION_SCORE,
@@ -78,6 +92,7 @@ class NetworkDetector:
         self._movenet = movenet
         self._body_detector = body_detector
         self._landmarks = landmarks
+        self._objects = objects
         self._min_score = min_score
         self._min_person_px = min_person_px
         if min_person_px is not None and not min_person_px > 0:
@@ -86,14 +101,22 @@ class NetworkDetector:
             raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
 
     def detect(
-        self, frame: NDArray[np.uint8], expected_boxes: Sequence[Box] = ()
+        self,
+        frame: NDArray[np.uint8],
+        expected_boxes: Sequence[Box] = (),
+        known_boxes: Sequence[Box] = (),
     ) -> list[Detection]:
         """Find the people of a frame ``(H, W, 3)``, BGR; best first, those not certain last.
 
-        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave.
+        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave,
+        ``known_boxes`` people who need no comparison with other objects.
         """
         detections, scores = self._candidates(frame)
         odds = detection_odds(scores)
+        for row, (one, probability) in enumerate(zip(detections, sigmoid(odds), strict=True)):
+            known = any(one.box.iou(other) >= _KNOWN_IOU for other in known_boxes)
+            if one.certain and self._min_score <= probability < DOUBTFUL_BELOW and not known:
+                odds[row] += object_odds(*self.object_log_odds(frame, one))
         for box in expected_boxes:
             near = [i for i, one in enumerate(detections) if one.certain and _may_be(one.box, box)]
             if near:
@@ -128,6 +151,14 @@ class NetworkDetector:
         found, scores = self._candidates(frame)
         rows = [row for row, one in enumerate(found) if one.certain]
         return [found[row] for row in rows], scores[rows]
+
+    def object_log_odds(self, frame: NDArray[np.uint8], one: Detection) -> tuple[float, float]:
+        """As :meth:`ObjectNetwork.log_odds`, upright or as the trunk is turned."""
+        roll = one.windows[0].roll_deg if one.windows else trunk_roll_deg(one.keypoints)
+        rolls = [0.0] if roll is None or abs(roll) < _MIN_TURN_DEG else [0.0, roll]
+        side = _OBJECT_WINDOW_SCALE * max(one.box.width, one.box.height)
+        windows = [replace(PersonWindow.about_box(one.box, roll), side=side) for roll in rolls]
+        return max(self._objects.log_odds(frame, window) for window in windows)
 
     def _candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
         """The same, with others in their boxes, who are not certain."""
@@ -247,6 +278,15 @@ _OFFSET = _FITTED["offset"]
 def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
     return detection_features(scores) @ _WEIGHTS + _OFFSET
+
+
+_OBJECTS = fitted_constants("objects")
+
+
+def object_odds(person: float, other: float) -> float:
+    """Log odds that a doubtful detection gains or loses by the log odds of objects."""
+    excess = max(0.0, other - person)
+    return float(_OBJECTS["person"] * person + _OBJECTS["excess"] * excess + _OBJECTS["offset"])
 
 
 # Least distance of scores from 0 and 1 when their log odds are taken.

@@ -1,8 +1,9 @@
 """Fit detection scores and confidences to photographs, since simulation cannot teach them.
 
-Writes the part `detection` of ``app/vision/models/fitted.json`` and prints the constants of
-:func:`index.confidence.fused_confidences`, within about ten minutes. The data are street
-photographs (Penn-Fudan), frames of the street video, and sports photographs (LSP Extended).
+Writes the parts `detection` and `objects` of ``app/vision/models/fitted.json`` and prints the
+constants of :func:`index.confidence.fused_confidences`, within about fifteen minutes. The data are
+street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP Extended) and,
+for the part `objects`, rendered photographs, which need the environment of ``docs/training.md``.
 Pose2Sim, UP-Fall, the falls and the homes are not used, so that they remain a test.
 """
 
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
@@ -21,9 +23,15 @@ from app.estimation.results import Person
 from app.photograph import Estimator, normalise_person
 from app.serving.loading import load_estimator
 from app.settings import Settings
-from app.vision.detector import NetworkDetector, detection_features
+from app.vision.detector import (
+    DOUBTFUL_BELOW,
+    MIN_DETECTION_SCORE,
+    NetworkDetector,
+    detection_features,
+)
 from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.models import FITTED
+from app.vision.odds import sigmoid
 from index.confidence import RIGHT_BELOW_PX, fused_agreement
 from index.skeleton import LIMB_ROWS, LIMBS
 from scripts.datasets import (
@@ -37,8 +45,13 @@ from scripts.datasets import (
 )
 from scripts.helpers import estimate
 from scripts.results import SHARED
+from scripts.training.render.scene import Studio
+from scripts.training.render_people import PEOPLE
 
 COMMAND = "python -m scripts fit-people"
+RENDERED, RENDERED_EMPTY, RENDERED_SEED = 1500, 0.4, 77
+"""Rendered photographs, the share without people, and the seed."""
+
 SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
 
@@ -64,12 +77,15 @@ Source = Iterator[tuple[str, NDArray[np.uint8]]]
 def candidate_samples(
     detector: NetworkDetector, frame: NDArray[np.uint8], judge: Callable[[Box], bool | None]
 ) -> Iterator[tuple[NDArray[np.float64], bool]]:
-    """Yield scores of the candidates of a frame, and whether they are people, where known."""
+    """Yield scores of the candidates of a frame, and whether they are people, where known.
+
+    Each has the features of the detectors, then the log odds of objects.
+    """
     found, scores = detector.candidates(frame)
     for one, row in zip(found, detection_features(scores), strict=True):
         truth = judge(one.box)
         if truth is not None:
-            yield row, truth
+            yield np.append(row, detector.object_log_odds(frame, one)), truth
 
 
 def box_overlap(box: Box, people: Boxes) -> float:
@@ -120,14 +136,65 @@ def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
     return sources
 
 
+def rendered_samples(estimator: Estimator, shared: Path) -> Samples:
+    """Collect the candidates of rendered photographs, of people in any posture and of things."""
+    samples = Samples()
+    studio = Studio.open(
+        shared / "mocap", shared / "garments", PEOPLE, RENDERED_SEED, held_out=False
+    )
+    for number in tqdm(range(RENDERED), desc="rendered photographs"):
+        generator = np.random.default_rng([RENDERED_SEED, number])
+        empty = bool(generator.random() < RENDERED_EMPTY)
+        photograph = studio.take(generator, empty=empty)
+        judge = athlete(photograph.box[None])
+        for sample in candidate_samples(
+            estimator.models.detector, photograph.image, (lambda _: False) if empty else judge
+        ):
+            samples.add(*sample, str(number))
+    return samples
+
+
 def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
     """Fit the weights of the detectors' scores; none may be negative."""
     features = np.concatenate([np.array(one.features) for one in sources.values()])
     truths = np.concatenate([np.array(one.truths) for one in sources.values()])
-    model = LogisticRegression(C=10.0).fit(features, truths)
+    model = LogisticRegression(C=10.0).fit(features[:, :-2], truths)
     weights = zip(("movenet", "hog", "pose_detection"), model.coef_[0].tolist(), strict=True)
     constants = {name: max(0.0, weight) for name, weight in weights}
     constants["offset"] = float(model.intercept_[0])
+    return _rounded(constants)
+
+
+def fit_objects(
+    detection: dict[str, float], sources: Sequence[Samples], rendered: Samples
+) -> dict[str, float]:
+    """Fit what the log odds of objects add to those of doubtful candidates.
+
+    Photographs, which show hardly anybody who lies, and renders have the same weight in all.
+    """
+    weights = np.array([*detection.values()][:-1])
+    kinds = []
+    for kind in (sources, [rendered]):
+        features = np.concatenate([np.array(one.features) for one in kind])
+        signs = np.where(np.concatenate([np.array(one.truths) for one in kind]), 1.0, -1.0)
+        odds = features[:, :-2] @ weights + detection["offset"]
+        chances = sigmoid(odds)
+        doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL_BELOW)
+        person, other = features[doubtful, -2:].T
+        evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
+        kinds.append((signs[doubtful], odds[doubtful], evidence))
+
+    def loss(constants: NDArray[np.float64]) -> float:
+        return sum(
+            float(np.logaddexp(0, -signs * (odds + evidence @ constants)).mean())
+            for signs, odds, evidence in kinds
+        )
+
+    fitted = minimize(loss, np.zeros(3)).x.tolist()
+    return _rounded(dict(zip(("person", "excess", "offset"), fitted, strict=True)))
+
+
+def _rounded(constants: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in constants.items()}
 
 
@@ -188,11 +255,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not (shared / "real").is_dir():
         parser.error(f"expected {shared}/real to hold the photographs, it is not there")
     estimator = load_estimator(Settings())
-    detection = detection_samples(estimator, shared)
-    data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in detection.items())
+    sources = detection_samples(estimator, shared)
+    rendered = rendered_samples(estimator, shared)
+    data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in sources.items())
     document = json.loads(FITTED.read_text())
-    constants = fit_detection(detection)
-    document["detection"] = {"command": COMMAND, "data": data, "constants": constants}
+    detection = fit_detection(sources)
+    objects = fit_objects(detection, [*sources.values()], rendered)
+    document["detection"] = {"command": COMMAND, "data": data, "constants": detection}
+    data += f", {len(rendered.truths)} of renders"
+    document["objects"] = {"command": COMMAND, "data": data, "constants": objects}
     FITTED.write_text(json.dumps(document, indent=1) + "\n")
     features, right = confidence_samples(estimator, shared)
     print(

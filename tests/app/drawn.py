@@ -36,7 +36,9 @@ class ColourDetector:
         self.room = 0
         """Pixels that boxes are too wide on either side."""
 
-    def detect(self, frame: NDArray[np.uint8], lost: Sequence[Box] = ()) -> list[Detection]:
+    def detect(
+        self, frame: NDArray[np.uint8], lost: Sequence[Box] = (), known: Sequence[Box] = ()
+    ) -> list[Detection]:
         self.searches += 1
         boxes = []
         for colour in () if self.blind else COLOURS:

@@ -14,6 +14,7 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
+from app.vision.rescoring import ObjectNetwork
 from tests.conftest import WALKERS
 
 PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
@@ -79,10 +80,20 @@ def body_detector() -> BlazePoseDetector:
 
 
 @pytest.fixture(scope="session")
+def objects() -> ObjectNetwork:
+    return ObjectNetwork(network_path("objects"))
+
+
+@pytest.fixture(scope="session")
 def make_network_detector(
-    movenet: MoveNet, body_detector: BlazePoseDetector, landmark_network: LandmarkNetwork
+    movenet: MoveNet,
+    body_detector: BlazePoseDetector,
+    landmark_network: LandmarkNetwork,
+    objects: ObjectNetwork,
 ) -> Callable[..., NetworkDetector]:
-    return lambda **limits: NetworkDetector(movenet, body_detector, landmark_network, **limits)
+    return lambda **limits: NetworkDetector(
+        movenet, body_detector, landmark_network, objects, **limits
+    )
 
 
 @pytest.fixture(scope="session")

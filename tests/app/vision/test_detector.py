@@ -26,6 +26,7 @@ from app.vision.detector import (
 from app.vision.geometry import Box
 from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
+from app.vision.rescoring import ObjectNetwork
 from tests.app.vision.conftest import found_share, moved, scores_of
 
 Make = Callable[..., NetworkDetector]
@@ -121,11 +122,12 @@ class SeesNobody(BlazePoseDetector):
 def test_second_detector_only_adds(
     movenet: MoveNet,
     landmark_network: LandmarkNetwork,
+    objects: ObjectNetwork,
     detector: NetworkDetector,
     street: NDArray[np.uint8],
 ) -> None:
     with_both = scores_of(detector, street)
-    found = NetworkDetector(movenet, SeesNobody(), landmark_network).detect(street)
+    found = NetworkDetector(movenet, SeesNobody(), landmark_network, objects).detect(street)
     assert found
     for one in found:
         assert with_both[one.box] >= one.score

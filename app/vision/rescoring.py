@@ -1,0 +1,114 @@
+"""Re-scoring of the boxes that the networks find, by two detectors that see only these.
+
+OpenCV's HOG people detector, a linear SVM on histograms of oriented gradients [1]_, recognises
+people who stand. MediaPipe's detector of objects, a MobileNet [2]_ trained on Open Images, compares
+people with animals and furniture.
+
+References
+----------
+.. [1] N. Dalal, B. Triggs, "Histograms of oriented gradients for human detection", CVPR 2005.
+.. [2] M. Sandler et al., "MobileNetV2: Inverted Residuals and Linear Bottlenecks", CVPR 2018.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.geometry import Box, PersonWindow, PixelRect, resize, sample_window
+from app.vision.tflite import TfliteNetwork
+
+PERSON_PX = 96
+"""Height of a person in the windows on which the detector was trained."""
+
+_WINDOW_PX = (64, 128)
+_STRIDE = (8, 8)
+# Windows in which a box is scored, relative to the box.
+_BOX_SCALE = 1.06
+# Lower margins are raised to this.
+_MIN_MARGIN = -5.0
+# The score of a box is that of the best window within a stride around it.
+_SCORED_PX = (_WINDOW_PX[0] + 2 * _STRIDE[0], _WINDOW_PX[1] + 2 * _STRIDE[1])
+
+
+def _people_classifier() -> cv2.HOGDescriptor:
+    hog = cv2.HOGDescriptor()
+    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())  # type: ignore[attr-defined]
+    return hog
+
+
+# Shared by all threads: `detect` only reads the weights.
+_HOG = _people_classifier()
+
+
+def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
+    """Signed distance from the decision boundary: how much a box looks like a person."""
+    scale = _BOX_SCALE * box.height / PERSON_PX
+    width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
+    left = round(box.x + 0.5 + (box.width - width) / 2)
+    top = round(box.y + 0.5 + (box.height - height) / 2)
+    image = resize(_crop_replicated(frame, (left, top, width, height)), *_SCORED_PX)
+    _, margins = _HOG.detect(image, -10.0, _STRIDE, (0, 0))
+    return max(_MIN_MARGIN, float(np.max(margins)))
+
+
+def _crop_replicated(frame: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
+    """Crop a frame, replicating its border, so that no edge is added."""
+    left, top, width, height = rect
+    rows, columns = frame.shape[:2]
+    # A rectangle wholly beyond the frame shows its nearest border.
+    x0, x1 = (min(max(x, 0), columns - 1) for x in (left, left + width - 1))
+    y0, y1 = (min(max(y, 0), rows - 1) for y in (top, top + height - 1))
+    inside = frame[y0 : y1 + 1, x0 : x1 + 1]
+    across, down = width - inside.shape[1], height - inside.shape[0]
+    before_x, before_y = min(max(0, -left), across), min(max(0, -top), down)
+    padded = cv2.copyMakeBorder(
+        inside, before_y, down - before_y, before_x, across - before_x, cv2.BORDER_REPLICATE
+    )
+    return padded.astype(np.uint8, copy=False)
+
+
+_CLASSES = (
+    "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
+    "monitor", "box", "mug", "coffee cup", "stationary bicycle", "table", "bottle", "high heels",
+    "vehicle", "footwear", "dog", "book", "camera", "car",
+)  # fmt: skip
+_PERSON = _CLASSES.index("person")
+# What people wear is no other object.
+_WORN = ("boot", "high heels", "footwear")
+_OTHERS = [row for row, name in enumerate(_CLASSES) if name not in ("background", "person", *_WORN)]
+_OBJECTS_PX = 192
+# Grids of anchors: cells a side, anchors of a cell, and the cells in the middle of the window.
+_GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
+
+
+class ObjectNetwork:
+    """Tells people from other objects; thread-safe.
+
+    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    """
+
+    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
+        self._network = TfliteNetwork(
+            path,
+            [(_OBJECTS_PX, _OBJECTS_PX, 3)],
+            [(cells, cells, anchors * len(_CLASSES)) for cells, anchors, _ in _GRIDS],
+            threads=threads,
+            copies=copies,
+        )
+
+    def log_odds(self, frame: NDArray[np.uint8], window: PersonWindow) -> tuple[float, float]:
+        """Log odds of a person, and of the likeliest other object, in the middle of a window.
+
+        Anchors fit objects about half as wide as the window; the largest log odds count. The frame
+        is BGR, ``(H, W, 3)``.
+        """
+        seen = cv2.cvtColor(sample_window(frame, window.on_grid(), _OBJECTS_PX), cv2.COLOR_BGR2RGB)
+        maps = self._network.run(seen / np.float32(127.5) - 1)
+        anchors = [
+            grid[cells, cells].reshape(-1, len(_CLASSES))
+            for grid, (_, _, cells) in zip(maps, _GRIDS, strict=True)
+        ]
+        best = np.concatenate(anchors).max(axis=0)
+        return float(best[_PERSON]), float(best[_OTHERS].max())
