@@ -56,21 +56,19 @@ def test_people_are_those_of_the_published_graph(
 ) -> None:
     """What Google's graph gives for the same image; see tests/data.
 
-    The weights are the same float16 numbers. Sums in another order are all that differs, which
-    moved nothing by more than 1e-4 px here. A tenth of a pixel is far below what any slip of half a
-    pixel, a cell or a side would move.
+    The backbone is rounded to 8 bits, which moves most joints by a quarter of a pixel. A slip of
+    half a pixel, a cell or a side would move all of them further.
     """
     assert len(ours) >= len(published) == 6
-    for number, (row, person) in enumerate(zip(published, ours, strict=False)):
+    for row, person in zip(published, ours, strict=False):
         top, left, bottom, right = SIZE * row[51:55] - 0.5
-        assert_allclose(corners(person.box), [left, top, right, bottom], atol=0.1)
+        assert_allclose(corners(person.box), [left, top, right, bottom], atol=2)
         y, x, scores = row[:51].reshape(17, 3).T
-        positions = SIZE * np.stack([x, y], axis=-1) - 0.5
-        assert_allclose(person.keypoints.positions, positions, atol=0.1)
-        # Where two people claim one keypoint, Google's graph gives both the higher score.
-        alone = number < 4
-        assert person.score == pytest.approx(row[55], abs=1e-3 if alone else 0.01)
-        assert_allclose(person.keypoints.scores, scores, atol=1e-3 if alone else 0.05)
+        gaps = person.keypoints.positions - (SIZE * np.stack([x, y], axis=-1) - 0.5)
+        assert np.median(np.linalg.norm(gaps, axis=1)) < 0.5
+        assert np.linalg.norm(gaps, axis=1)[scores > 0.2].max() < 2.5
+        assert person.score == pytest.approx(row[55], abs=0.02)
+        assert_allclose(person.keypoints.scores, scores, atol=0.1)
 
 
 def test_more_than_six_people_are_detected(
@@ -94,9 +92,10 @@ def test_people_move_with_the_image(
     whole = x % 32 == y % 32 == 0
     for walker in walkers:
         one, other = person_in(walker, here), person_in(moved(walker, x, y), there)
-        # By whole steps of the network all stays; else it sees another sampling: half a cell.
+        # By whole steps of the network only surroundings change, and with them some roundings; else
+        # it sees another sampling: half a cell.
         expected = corners(moved(one.box, x, y))
-        assert_allclose(corners(other.box), expected, atol=0.5 if whole else 2)
+        assert_allclose(corners(other.box), expected, atol=1 if whole else 2)
         offsets = other.keypoints.positions - one.keypoints.positions - (x, y)
         assert np.median(np.linalg.norm(offsets, axis=1)) < (0.5 if whole else 1.5)
 
