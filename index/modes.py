@@ -347,16 +347,20 @@ def _combinations(
     shares /= shares.sum(axis=1)[:, None]
     means = shares @ offsets
     scatters = np.empty((*means.shape, means.shape[1]))
-    for own, scatter in zip(shares, scatters, strict=True):
-        members = np.flatnonzero(own)
-        near = offsets.take(members, axis=0)
-        np.matmul((near * own.take(members)[:, None]).T, near, out=scatter)
-    scatters -= means[:, :, None] * means[:, None]
+    rows = [np.flatnonzero(own) for own in shares]
+    # Centred before they are multiplied: else a difference of large numbers is left, whose digits
+    # differ from processor to processor.
+    centred = [offsets.take(own, axis=0) - mean for own, mean in zip(rows, means, strict=True)]
+    for mode, near in enumerate(centred):
+        weighted = near * shares[mode, rows[mode], None]
+        np.matmul(weighted.T, near, out=scatters[mode])
     # The fewer effective members, the worse the estimate of the scatter and the larger the ridge.
     diagonals = np.einsum("mdd->md", scatters)
     diagonals += (_RIDGE * diagonals.sum(axis=1) * (shares**2).sum(axis=1) + 1e-9)[:, None]
     slopes = np.linalg.solve(scatters, means[..., None])[..., 0]
-    return shares * (1 + (slopes * means).sum(axis=1)[:, None] - slopes @ offsets.T)
+    for mode, near in enumerate(centred):
+        shares[mode, rows[mode]] *= 1 - near @ slopes[mode]
+    return shares
 
 
 def _combine(shares: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
