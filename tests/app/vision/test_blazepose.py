@@ -53,7 +53,7 @@ def test_landmarks_and_mask_are_the_walkers(
     assert (np.diff(landmarks.positions[rows, 1].mean(axis=1)) > 0).all()
     heights = landmarks.metres[:, 1]
     assert heights[LANDMARK_NAMES.index("nose")] < -0.3 < 0.3 < heights[-1]
-    assert reading.probability is not None and mask_network.read(reading) is reading
+    assert reading.probability is not None
     assert reading.probability.shape == (LANDMARK_PX, LANDMARK_PX)
     assert reading.probability.min() >= 0 and reading.probability.max() <= 1
     y, x = np.nonzero(reading.probability > 0.5)
