@@ -43,8 +43,8 @@ _LARGE_PERSON_PX = 96.0
 _SEAM_PX = 4.0  # A box that ends so close to a seam, as MoveNet sees it, is cut.
 # Overlap from which two boxes show one person; two people side by side reach 0.3.
 _NMS_IOU = 0.4
-DOUBTFUL_BELOW = 0.8
-"""Probability below which a detection is compared with other objects."""
+DOUBTFUL = (0.2, 0.8)
+"""Probabilities between which a detection is compared with other objects."""
 
 # Side of the window in which a detection is compared, relative to the longer side of the box, and
 # the turn of the trunk from which it is also compared upright: the network hardly knows people who
@@ -115,8 +115,10 @@ class NetworkDetector:
         odds = detection_odds(scores)
         for row, (one, probability) in enumerate(zip(detections, sigmoid(odds), strict=True)):
             known = any(one.box.iou(other) >= _KNOWN_IOU for other in known_boxes)
-            if one.certain and self._min_score <= probability < DOUBTFUL_BELOW and not known:
-                odds[row] += object_odds(*self.object_log_odds(frame, one))
+            if one.certain and DOUBTFUL[0] <= probability < DOUBTFUL[1] and not known:
+                gain = object_odds(*self.object_log_odds(frame, one))
+                # Those hardly seen beside others look like part of them.
+                odds[row] += gain if probability >= self._min_score else max(0.0, gain)
         for box in expected_boxes:
             near = [i for i, one in enumerate(detections) if one.certain and _may_be(one.box, box)]
             if near:

@@ -24,8 +24,7 @@ from app.photograph import Estimator, normalise_person
 from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import (
-    DOUBTFUL_BELOW,
-    MIN_DETECTION_SCORE,
+    DOUBTFUL,
     NetworkDetector,
     detection_features,
 )
@@ -179,7 +178,7 @@ def fit_objects(
         signs = np.where(np.concatenate([np.array(one.truths) for one in kind]), 1.0, -1.0)
         odds = features[:, :-2] @ weights + detection["offset"]
         chances = sigmoid(odds)
-        doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL_BELOW)
+        doubtful = (chances >= DOUBTFUL[0]) & (chances < DOUBTFUL[1])
         person, other = features[doubtful, -2:].T
         evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
         kinds.append((signs[doubtful], odds[doubtful], evidence))
