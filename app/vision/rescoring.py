@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Box, PersonWindow, PixelRect, resize, sample_window
+from app.vision.geometry import Box, PersonWindow, resize, sample_window
 from app.vision.tflite import TfliteNetwork
 
 PERSON_PX = 96
@@ -48,25 +48,12 @@ def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
-    image = resize(_crop_replicated(frame, (left, top, width, height)), *_SCORED_PX)
-    _, margins = _HOG.detect(image, -10.0, _STRIDE, (0, 0))
+    # At whole pixels; beyond the frame, its border goes on, so that no edge is added.
+    around = cv2.getRectSubPix(
+        frame, (width, height), (left + (width - 1) / 2, top + (height - 1) / 2)
+    ).astype(np.uint8, copy=False)
+    _, margins = _HOG.detect(resize(around, *_SCORED_PX), -10.0, _STRIDE, (0, 0))
     return max(_MIN_MARGIN, float(np.max(margins)))
-
-
-def _crop_replicated(frame: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
-    """Crop a frame, replicating its border, so that no edge is added."""
-    left, top, width, height = rect
-    rows, columns = frame.shape[:2]
-    # A rectangle wholly beyond the frame shows its nearest border.
-    x0, x1 = (min(max(x, 0), columns - 1) for x in (left, left + width - 1))
-    y0, y1 = (min(max(y, 0), rows - 1) for y in (top, top + height - 1))
-    inside = frame[y0 : y1 + 1, x0 : x1 + 1]
-    across, down = width - inside.shape[1], height - inside.shape[0]
-    before_x, before_y = min(max(0, -left), across), min(max(0, -top), down)
-    padded = cv2.copyMakeBorder(
-        inside, before_y, down - before_y, before_x, across - before_x, cv2.BORDER_REPLICATE
-    )
-    return padded.astype(np.uint8, copy=False)
 
 
 _CLASSES = (
