@@ -25,6 +25,7 @@ from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.detector import (
     DOUBTFUL,
+    MIN_DETECTION_SCORE,
     NetworkDetector,
     detection_features,
 )
@@ -167,7 +168,7 @@ def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
 def fit_objects(
     detection: dict[str, float], sources: Sequence[Samples], rendered: Samples
 ) -> dict[str, float]:
-    """Fit what the log odds of objects add to those of doubtful candidates.
+    """Fit what the log odds of objects add to those of doubtful candidates that count as people.
 
     Photographs, which show hardly anybody who lies, and renders have the same weight in all.
     """
@@ -178,7 +179,7 @@ def fit_objects(
         signs = np.where(np.concatenate([np.array(one.truths) for one in kind]), 1.0, -1.0)
         odds = features[:, :-2] @ weights + detection["offset"]
         chances = sigmoid(odds)
-        doubtful = (chances >= DOUBTFUL[0]) & (chances < DOUBTFUL[1])
+        doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL[1])
         person, other = features[doubtful, -2:].T
         evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
         kinds.append((signs[doubtful], odds[doubtful], evidence))
