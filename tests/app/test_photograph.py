@@ -288,10 +288,11 @@ def test_a_person_half_behind_another_is_found(
 ) -> None:
     """Both networks look at the person in front, so the first reading of both may be the same.
 
-    One picture in twelve may show too little of the person behind.
+    At three times the size, 18 columns aside, the one behind is missed: MoveNet's rounded keypoints
+    fit the reading of the person in front.
     """
-    found = []
-    for size, shift in product((1, 2, 3), (-18, 16, 18, 24)):
+    missed = set()
+    for size, shift in [(1, -14), *product((1, 2, 3), (-18, 16, 18, 24))]:
         frame, mask = (
             cv2.resize(image, None, fx=size, fy=size, interpolation=cv2.INTER_NEAREST)
             for image in (street, mask_of(walker, street.shape))
@@ -303,5 +304,6 @@ def test_a_person_half_behind_another_is_found(
             Box(size * left, size * WALKER.y, size * WALKER.width, size * WALKER.height)
             for left in (WALKER.x, WALKER.x + shift)
         ]
-        found.append(all(sum(box.iou(one.box) > 0.6 for one in people) == 1 for box in boxes))
-    assert sum(found) >= len(found) - 1
+        if not all(sum(box.iou(one.box) > 0.6 for one in people) == 1 for box in boxes):
+            missed.add((size, shift))
+    assert missed <= {(3, 18)}
