@@ -178,11 +178,11 @@ def fit_poses(
     return replace(person, facing=facing, posture=posture, hypotheses=tuple(projected))
 
 
-_THREADS_PER_PASS = 2  # They share a pass of a network with little loss; more do not.
+_THREADS_PER_PASS = 2  # They share a pass over a whole frame with little loss; more do not.
 
 
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
-    """Threads of one pass of a network, and copies of the network, that share the cores.
+    """Threads of a pass over a whole frame, and copies of the network, that share the cores.
 
     Examples
     --------
@@ -208,11 +208,10 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet = MoveNet(network_path("movenet"), threads=threads, copies=copies)
-    # Two people read at once take 7 ms each, one after the other 10 ms: threads of one copy wait
-    # for each other after every layer. A copy takes 22 MB; those of the other networks save less.
-    readers = min(concurrency, cores)
-    landmarks = LandmarkNetwork(network_path("pose_landmarks"), threads=threads, copies=readers)
+    movenet = MoveNet(network_path("movenet"), **share)
+    # Threads that share such a small pass wait for each other after every layer: with a copy and a
+    # thread each, two people take less time, and one as long. Copies of the others take 25 MB.
+    landmarks = LandmarkNetwork(network_path("pose_landmarks"), copies=min(concurrency, cores))
     masks = MaskNetwork(network_path("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)

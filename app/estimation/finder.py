@@ -93,7 +93,8 @@ class PeopleFinder:
         if source in _MARKED:
             return [person for person in people if person is not None]
         # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
-        return [replace(one, box=one.box.joined(one.whole_box)) for one in people if one]
+        distinct = {id(one): one for one in people if one}
+        return [replace(one, box=one.box.joined(one.whole_box)) for one in distinct.values()]
 
     def _targets(self, upload: DecodedUpload, job: Job) -> tuple[Source, list[Target], Cut | None]:
         """Where people are, who says so, and how they are cut out if not by their readings."""
@@ -187,15 +188,17 @@ class PeopleFinder:
         Returns
         -------
         list of Person or None
-            One for each target; None where nobody is seen, or a body that another target shows.
+            One for each target; None where nobody is seen, or a body that another target shows. If
+            that one is a detection that no track expected, its person stands there again.
         """
         frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
         readings: list[PoseReading | None] = [None] * len(targets)
         if reads:
             readings = self.read(frame, targets, job)
-        rows, beside = [*range(len(targets))], list[int]()
+        rows, beside, shown_by = [*range(len(targets))], list[int](), dict[int, int]()
         if reads and not marked:
-            rows = distinct(targets, readings)
+            shown_by = best_shown_by(targets, readings)
+            rows = [row for row in rows if shown_by.get(row) == row]
             beside = self._read_beside(frame, targets, readings, rows, job)
             rows = sorted(rows + beside)
         boxes = [_box(targets[row], readings[row]) for row in rows]
@@ -224,6 +227,10 @@ class PeopleFinder:
                 score = max(score, _READ_BESIDE_SCORE)
             person = Person(box, source, score, silhouette, beside=row in beside)
             people[row] = self._with_reading(person, reading, upload, landmarks)
+        for row, best in shown_by.items():
+            unexpected = targets[best].detection is not None and targets[best].expected is None
+            if row not in rows and unexpected:
+                people[row] = people[best]
         return people
 
     def _read_beside(
@@ -249,7 +256,7 @@ class PeopleFinder:
                 reading = self.models.reader.read_beside(
                     frame, target.box, detection.keypoints, bodies
                 )
-                if reading is None or len(distinct_bodies([*bodies, reading])) == len(bodies):
+                if reading is None or first_of_body([*bodies, reading])[-1] < len(bodies):
                     continue
             readings[row] = reading
             bodies.append(reading)
@@ -299,11 +306,13 @@ def _box(target: Target, reading: PoseReading | None) -> Box:
     return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
 
 
-def distinct(targets: Sequence[Target], readings: Sequence[PoseReading | None]) -> list[int]:
-    """Rows of one reading of each body, in order: a detection's rather than a track's.
+def best_shown_by(
+    targets: Sequence[Target], readings: Sequence[PoseReading | None]
+) -> dict[int, int]:
+    """For each row with a reading, the row whose reading of the same body is kept.
 
-    Of two detections the one whose keypoints the reading fits better is kept, of two tracks the one
-    whose box is nearer to the body.
+    A detection's is kept rather than a track's; of two detections that whose keypoints the reading
+    fits better, of two tracks that whose box is nearer to the body.
     """
     read = {row: reading for row, reading in enumerate(readings) if reading is not None}
 
@@ -314,7 +323,8 @@ def distinct(targets: Sequence[Target], readings: Sequence[PoseReading | None]) 
         return 1.0, -target.box.iou(read[row].landmarks.box())
 
     order = sorted(read, key=rank)
-    return sorted(order[i] for i in distinct_bodies([read[row] for row in order]))
+    first = first_of_body([read[row] for row in order])
+    return {row: order[best] for row, best in zip(order, first, strict=True)}
 
 
 DUPLICATE_BODY_DISTANCE = 0.12
@@ -322,13 +332,17 @@ DUPLICATE_BODY_DISTANCE = 0.12
 person."""
 
 
-def distinct_bodies(readings: Sequence[PoseReading]) -> list[int]:
-    """Rows of readings that do not show the same body as an earlier one."""
-    kept: list[int] = []
+def first_of_body(readings: Sequence[PoseReading]) -> list[int]:
+    """For each reading, the first one that shows the same body: its own row if none does."""
+    first: list[int] = []
     for row, reading in enumerate(readings):
-        if all(_apart(reading, readings[other]) >= DUPLICATE_BODY_DISTANCE for other in kept):
-            kept.append(row)
-    return kept
+        same = (
+            other
+            for other in dict.fromkeys(first)
+            if _apart(reading, readings[other]) < DUPLICATE_BODY_DISTANCE
+        )
+        first.append(next(same, row))
+    return first
 
 
 def _apart(first: PoseReading, second: PoseReading) -> float:

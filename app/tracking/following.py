@@ -50,16 +50,19 @@ class TrackedPeopleDetector:
     ) -> list[Sighting]:
         """Find the people of a frame with their silhouettes and landmarks, given all tracks.
 
-        Each sighting has the track in whose window the person was read, or None after a search.
+        Each sighting has the track whose window shows the person; None if none does.
         """
         targets = self._targets(upload.frame, timestamp, tracks, job)
         people = self._finder.observe(upload, [target for target, _ in targets], job, tight=True)
         self._read_at = timestamp
-        return [
-            Sighting(person, track=track)
-            for person, (_, track) in zip(people, targets, strict=True)
-            if person is not None
-        ]
+        sightings: dict[int, Sighting] = {}
+        for person, (_, track) in zip(people, targets, strict=True):
+            # A person who was detected stands again where a track's window shows them.
+            if person is not None and (
+                id(person) not in sightings or sightings[id(person)].track is None
+            ):
+                sightings[id(person)] = Sighting(person, track=track)
+        return list(sightings.values())
 
     def _targets(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.estimation.finder import DUPLICATE_BODY_DISTANCE, distinct_bodies
+from app.estimation.finder import DUPLICATE_BODY_DISTANCE, first_of_body
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import WINDOW_SCALE, PersonWindow
 from app.vision.people import Landmarks
@@ -22,16 +22,16 @@ def reading(x: float, y: float = 0.0) -> PoseReading:
     return PoseReading(window, landmarks, 1.0, window, probability)
 
 
-def test_first_reading_of_each_body_is_kept() -> None:
+def test_readings_are_grouped_by_body() -> None:
     assert reading(0).body_px == BODY_PX
-    assert distinct_bodies([]) == []
-    assert distinct_bodies([reading(0), reading(1), reading(200), reading(0)]) == [0, 2]
+    assert first_of_body([]) == []
+    assert first_of_body([reading(0), reading(1), reading(200), reading(0)]) == [0, 0, 2, 0]
 
 
 @given(share=st.floats(0, 1), angle=st.floats(-3.14, 3.14))
 def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
     apart_px = share * BODY_PX
     other = reading(apart_px * np.cos(angle), apart_px * np.sin(angle))
-    kept = distinct_bodies([reading(0), other])
+    first = first_of_body([reading(0), other])
     if share != pytest.approx(DUPLICATE_BODY_DISTANCE):
-        assert kept == ([0, 1] if share > DUPLICATE_BODY_DISTANCE else [0])
+        assert first == [0, int(share > DUPLICATE_BODY_DISTANCE)]

@@ -79,9 +79,9 @@ def test_a_detection_larger_than_the_body_moves_no_box(
 
 
 def followed(
-    drawn: Estimator, left: int, *expected_at: int, confirmed: bool = True
+    drawn: Estimator, left: int, *expected_at: int, confirmed: bool = True, time: float = 0.1
 ) -> list[int | None]:
-    """Find a person at 100, and at ``left`` a frame later; return the tracks that led to them.
+    """Find a person at 100, and at ``left`` at a later time; return the tracks that led to them.
 
     All tracks have the window of the first frame, and each is expected somewhere.
     """
@@ -93,13 +93,23 @@ def followed(
     tracks = [Track(Sighting(replace(first.person, box=box)), 0.0) for box in boxes]
     for number, track in enumerate(tracks):
         track.track_id = number if confirmed else None
-    sightings = people.find(now, 0.1, tracks, Job())
+    sightings = people.find(now, time, tracks, Job())
     return [None if one.track is None else tracks.index(one.track) for one in sightings]
 
 
 def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> None:
     assert followed(drawn, 104, 140, 102) == [1]
     assert followed(drawn, 104, 102, 140) == [0]
+
+
+def test_a_detected_person_whom_the_window_of_a_track_shows_is_its_person(
+    drawn: Estimator, detector: ColourDetector
+) -> None:
+    """A person who falls quickly leaves the place where they are expected."""
+    assert followed(drawn, 104, 10, time=SEARCH_EVERY_S) == [0]
+    # Another track expects the person there; appearance and place decide.
+    assert followed(drawn, 104, 10, 98, time=SEARCH_EVERY_S) == [None]
+    assert detector.searches == 4
 
 
 def test_a_person_outside_their_window_is_found_by_a_search(
