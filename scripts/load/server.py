@@ -69,6 +69,11 @@ class ServerProcess:
                 return int(line.split()[1]) / 1024
         raise ValueError(f"expected {what} in /proc/{self._process.pid}/status")
 
+    def processor_s(self) -> float:
+        """Return the processor time spent so far by all threads, seconds."""
+        ticks = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        return sum(map(int, ticks[11:13])) / os.sysconf("SC_CLK_TCK")
+
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
         self._process.send_signal(signal.SIGTERM)
