@@ -154,7 +154,10 @@ def fit_poses(
     presence = 1.0 if person.presence is None else person.presence
     confidences = [presence * one.confidence for one in hypotheses]
     voters = found.voters
-    votes = vote_posture([one.posture for one in voters], [one.confidence for one in voters])
+    postures = [one.posture for one in voters]
+    if not normalised.feet_visible:  # Nothing shows whether a person upright walks.
+        postures = ["standing" if one in ("walking", "running") else one for one in postures]
+    votes = vote_posture(postures, [one.confidence for one in voters])
     posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(
@@ -209,9 +212,9 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
     movenet = MoveNet(network_path("movenet"), **share)
-    # Threads that share such a small pass wait for each other after every layer: with a copy and a
-    # thread each, two people take less time, and one as long. Copies of the others take 25 MB.
-    landmarks = LandmarkNetwork(network_path("pose_landmarks"), copies=min(concurrency, cores))
+    landmarks = LandmarkNetwork(
+        network_path("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
+    )
     masks = MaskNetwork(network_path("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)

@@ -14,7 +14,7 @@ from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, smallest_person_px
 from app.vision.geometry import Box, PersonWindow
-from app.vision.judgement import PhotographModels
+from app.vision.judgement import Judgement, PhotographModels
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import (
     MIN_PRESENCE,
@@ -202,22 +202,34 @@ class PeopleFinder:
             beside = self._read_beside(frame, targets, readings, rows, job)
             rows = sorted(rows + beside)
         boxes = [_box(targets[row], readings[row]) for row in rows]
-        if cut is None:
-            with job.stage("keypoints"):
-                read = [reading for row in rows if (reading := readings[row])]
-                masked = job.map(self.models.reader.with_mask, read)
-            cut = partial(
-                silhouettes_of,
-                masked,
-                frame_shape=frame.shape,
-                exact=marked,
-                checkpoint=job.checkpoint,
-            )
+
+        def look(row: int) -> tuple[PoseReading | None, Judgement | None]:
+            """A reading, with its mask if that is wanted, and the judgement of its landmarks."""
+            reading, judged = readings[row], None
+            if reading and cut is None:
+                reading = self.models.reader.with_mask(reading)
+            if reading and landmarks and reading.network_pass is not None:
+                judged = self.models.judgement.judge(reading, upload.camera)
+            return reading, judged
+
+        with job.stage("keypoints"):
+            seen = job.map(look, rows)
         with job.stage("segment"):
-            silhouettes = cut(boxes)
+            silhouettes = (
+                silhouettes_of(
+                    [reading for reading, _ in seen if reading],
+                    boxes,
+                    frame.shape,
+                    exact=marked,
+                    checkpoint=job.checkpoint,
+                )
+                if cut is None
+                else cut(boxes)
+            )
         people: list[Person | None] = [None] * len(targets)
-        for row, box, silhouette in zip(rows, boxes, silhouettes, strict=True):
-            reading = readings[row]
+        for row, box, silhouette, (reading, judged) in zip(
+            rows, boxes, silhouettes, seen, strict=True
+        ):
             if silhouette is None and not marked:
                 continue  # A detection without a silhouette is unlikely to be a person.
             if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
@@ -226,7 +238,7 @@ class PeopleFinder:
             if score is not None and detection is not None and not detection.certain:
                 score = max(score, _READ_BESIDE_SCORE)
             person = Person(box, source, score, silhouette, beside=row in beside)
-            people[row] = self._with_reading(person, reading, upload, landmarks)
+            people[row] = self._with_reading(person, reading, judged, upload, landmarks)
         for row, best in shown_by.items():
             unexpected = targets[best].detection is not None and targets[best].expected is None
             if row not in rows and unexpected:
@@ -264,7 +276,12 @@ class PeopleFinder:
         return rows
 
     def _with_reading(
-        self, person: Person, reading: PoseReading | None, upload: DecodedUpload, landmarks: bool
+        self,
+        person: Person,
+        reading: PoseReading | None,
+        judged: Judgement | None,
+        upload: DecodedUpload,
+        landmarks: bool,
     ) -> Person:
         """Add whether the reading shows that the body is truncated, and landmarks if wanted."""
         if reading is None:
@@ -281,9 +298,8 @@ class PeopleFinder:
         )
         if not landmarks:
             return person
-        if reading.network_pass is None:
+        if judged is None:
             return replace(person, landmarks=visible)
-        judged = self.models.judgement.judge(reading, upload.camera)
         metres = judged.body.along_sight(upload.camera, visible)
         return replace(
             person,

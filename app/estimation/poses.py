@@ -78,13 +78,18 @@ class NormalisedPerson:
         return cls(normalised, 0.0, to_frame, landmarks)
 
     @property
+    def feet_visible(self) -> bool:
+        """Whether the photograph shows a foot; true without landmarks."""
+        landmarks = self.landmarks
+        return landmarks is None or landmarks.visibility[_ANKLES].max() >= _MIN_FEET_VISIBILITY
+
+    @property
     def whole(self) -> bool:
         """Whether the photograph shows the person from head to feet; true without landmarks."""
-        if self.landmarks is None:
-            return True
-        visibility = self.landmarks.visibility
-        feet_visible = visibility[_ANKLES].max() >= _MIN_FEET_VISIBILITY
-        return bool(feet_visible and visibility[_HEAD].max() >= _MIN_HEAD_VISIBILITY)
+        landmarks = self.landmarks
+        return self.feet_visible and (
+            landmarks is None or landmarks.visibility[_HEAD].max() >= _MIN_HEAD_VISIBILITY
+        )
 
     def normalised_landmarks(self) -> NormalisedLandmarks | None:
         """The landmarks in the normalised frame, for matching; None if too few are visible."""

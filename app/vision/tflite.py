@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from queue import LifoQueue
+from queue import PriorityQueue
 
 import numpy as np
 from ai_edge_litert.interpreter import Interpreter
@@ -19,8 +19,9 @@ class NetworkError(RuntimeError):
 class TfliteNetwork:
     """A network from some arrays to others; thread-safe.
 
-    Shapes are rows, columns and channels of each array, None for a size that may vary. ``threads``
-    share the work of a call; ``copies`` calls are served at once, others wait.
+    Shapes are rows, columns and channels of each array, None for a size that may vary. ``copies``
+    calls are served at once, others wait. ``threads`` share the work of a call while it is the only
+    one; a call beside others has one thread, since threads wait for each other after every layer.
 
     Raises
     ------
@@ -41,10 +42,10 @@ class TfliteNetwork:
         self._threads = threads
         self._varies = any(None in shape for shape in input_shapes)
         # An interpreter holds the activations of its layers, so each serves one call at a time.
-        # None stands for an interpreter that has not been made yet.
-        self._idle: LifoQueue[Interpreter | None] = LifoQueue()
-        for _ in range(copies):
-            self._idle.put(None)
+        # None stands for an interpreter that has not been made yet. The first is taken first.
+        self._idle: PriorityQueue[tuple[int, Interpreter | None]] = PriorityQueue()
+        for number in range(copies):
+            self._idle.put((number, None))
         with self._interpreter() as interpreter:
             inputs = [_shape(tensor) for tensor in interpreter.get_input_details()]
             outputs = [_shape(tensor) for tensor in interpreter.get_output_details()]
@@ -58,20 +59,20 @@ class TfliteNetwork:
     @contextmanager
     def _interpreter(self) -> Iterator[Interpreter]:
         """Borrow an idle interpreter; one whose call fails is replaced."""
-        interpreter = self._idle.get()
+        number, interpreter = self._idle.get()
         usable = None
         try:
-            interpreter = interpreter or self._load()
+            interpreter = interpreter or self._load(1 if number else self._threads)
             yield interpreter
             usable = interpreter
         finally:
-            self._idle.put(usable)
+            self._idle.put((number, usable))
 
-    def _load(self) -> Interpreter:
+    def _load(self, threads: int) -> Interpreter:
         if not self._path.is_file():
             raise NetworkError(f"cannot read a network: {self._path} is missing")
         try:
-            interpreter = Interpreter(model_path=str(self._path), num_threads=self._threads)
+            interpreter = Interpreter(model_path=str(self._path), num_threads=threads)
             # Until a size that varies is known, memory for it would be wasted: 10 MB for MoveNet.
             if not self._varies:
                 interpreter.allocate_tensors()
