@@ -277,8 +277,17 @@ class CameraSession:
             )
             longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
-                cut = self._is_cut_askew(track)
-                events, stays = track.lose(frame, timestamp, may_have_left=cut)
+                place = track.box_filter.seen
+                events, stays = track.lose(
+                    frame,
+                    timestamp,
+                    may_have_left=self._is_cut_askew(track),
+                    alone=not any(
+                        other.box_filter.seen.intersection(place) > 0
+                        for other in self._tracks
+                        if other.seen_at == timestamp
+                    ),
+                )
                 self._events += events
                 if not stays:
                     continue

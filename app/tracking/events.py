@@ -126,6 +126,8 @@ class DropDetector:
 # A person sinks if the top of the box sinks by this share of its height within so many seconds, and
 # its lower edge rises by no more than another: behind a table, only the lower edge moves.
 _SINKS_BY, _SINKS_WITHIN_S, _MAX_RISE = 0.4, 1.6, 0.15
+# The same share for people who seem to sit: no seat is that low.
+_SINKS_BELOW_SEATS_BY = 0.65
 # The same share for people who are lost at once: they may have sunk further.
 _SINKS_BEFORE_LOSS_BY, _LOST_WITHIN_S = 0.3, 2.0
 # They are up again once the top has risen by this share of the height.
@@ -144,6 +146,8 @@ class SinkDetector:
         self._top = 0.0
         self.sunk_at: float | None = None
         """Time at which the box had sunk far enough, seconds; None unless it is still low."""
+        self.is_below_seats = False
+        """Whether it has sunk farther than in sitting down."""
 
     def update(self, timestamp: float, box: Box) -> None:
         """Add the box of a frame."""
@@ -155,8 +159,9 @@ class SinkDetector:
             if self.sunk_at is None:
                 self.sunk_at, self._before = timestamp, before
             self._top = box.y
+            self.is_below_seats |= self._sinks_from(_SINKS_BELOW_SEATS_BY) is not None
         elif self._before is not None and box.y < self._top - _UP_AGAIN_BY * self._before.height:
-            self.sunk_at = self._before = None
+            self.sunk_at, self._before, self.is_below_seats = None, None, False
 
     def was_lost(self, frame_shape: tuple[int, ...]) -> bool:
         """Whether a person who is not seen any more sank in the middle of the frame.
@@ -227,16 +232,16 @@ class EventDetector:
         hips: HipHeight | None = None,
         box: Box | None = None,
         *,
-        unclear: bool = False,
+        posture: PostureName | None = None,
         rests: bool = False,
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
         ``shares`` ``(10,)`` are those of ``POSTURES`` at this frame. The reliability weights
         postures and gestures by ``body``, and being on the ground by ``person``. Hips are None
-        where they are not seen; the box is of what is seen of the person. ``unclear`` is the
-        track's posture; ``rests`` says whether the person is in a zone for resting, where lying is
-        no event.
+        where they are not seen; the box is of what is seen of the person. The posture is the
+        track's, None if it is unclear; ``rests`` says whether the person is in a zone for resting,
+        where lying is no event.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
         step = reliability.body * elapsed
@@ -261,7 +266,7 @@ class EventDetector:
             self._sink.update(timestamp, box)
         fell = self._fell(timestamp, elapsed)
         level = self._down.level if fell else _SEEN_BY_BOX
-        fell |= self._stays_low(elapsed, unclear=unclear)
+        fell |= self._stays_low(elapsed, posture)
         return (*events, *happened("fell", "instant" if fell else None, level))
 
     def lost(
@@ -313,8 +318,9 @@ class EventDetector:
         self._fallen = True
         return True
 
-    def _stays_low(self, elapsed: float, *, unclear: bool) -> bool:
-        """Whether the box has sunk and stays low while the posture is unclear; true only once."""
+    def _stays_low(self, elapsed: float, posture: PostureName | None) -> bool:
+        """Whether the box has sunk and stays low in no posture that explains it; true only once."""
+        unclear = posture is None or (posture == "sitting" and self._sink.is_below_seats)
         if self._sink.sunk_at is None or not unclear or self._rests:
             self._low_s = 0.0
             return False

@@ -168,7 +168,7 @@ class Track:
             _reliability(person, smoothed.pose),
             hip_height(person, smoothed),
             self.box_filter.seen,
-            unclear=self._known_posture() is None,
+            posture=self._known_posture(),
             rests=is_rest(self._zone_watch.zones),
         )
         tracked = self._tracked(person, smoothed.pose)
@@ -198,12 +198,19 @@ class Track:
         return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
 
     def lose(
-        self, frame: NDArray[np.uint8], timestamp: float, *, may_have_left: bool = False
+        self,
+        frame: NDArray[np.uint8],
+        timestamp: float,
+        *,
+        may_have_left: bool = False,
+        alone: bool = True,
     ) -> tuple[list[Event], bool]:
         """The events of a person who is not seen any more, and whether the track goes on.
 
         It does where the person fell, and the picture still shows the same at their place. Whoever
-        may have left across a border within the frame has not fallen by being lost.
+        may have left across a border within the frame has not fallen by being lost. Whoever is lost
+        while falling lies there by now, unless somebody else is seen there, who may be them:
+        ``alone`` says that nobody is.
         """
         if self.track_id is None:
             return [], False
@@ -211,6 +218,8 @@ class Track:
         if not may_have_left:
             fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
             events += map(self._annotated, fell)
+        if events and alone:
+            self._patch = Patch.of(frame, self.box_filter.seen)
         stays = self._patch is not None and self._patch.is_shown_by(frame)
         if self._event_detector.has_fallen and stays:
             self.lies_at = self.box_filter.seen

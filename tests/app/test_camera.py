@@ -207,11 +207,20 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
     assert ids(later) == [2] and events(later) == [("left", 1)]
 
 
-def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(session: CameraSession) -> None:
-    other, stands = Box(19.5, 59.5, 30, PERSON), Box(149.5, 59.5, 30, PERSON)
+def with_patch(rows: slice, columns: slice) -> bytes:
+    """A frame that shows one person, and a patch in the colour of another."""
     pixels = np.asarray(cv2.imdecode(np.frombuffer(draw((1, 20)), np.uint8), cv2.IMREAD_COLOR))
-    pixels[125:150, 150:220] = COLOURS[0]
-    lying = png(pixels.astype(np.uint8))
+    pixels[rows, columns] = COLOURS[0]
+    return png(pixels.astype(np.uint8))
+
+
+@pytest.mark.parametrize("right", [220, 170])
+def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(
+    session: CameraSession, right: int
+) -> None:
+    """Also one who was last seen while falling, not yet as they lie."""
+    other, stands = Box(19.5, 59.5, 30, PERSON), Box(149.5, 59.5, 30, PERSON)
+    falling, lying = (with_patch(slice(125, 150), slice(150, end)) for end in (right, 220))
 
     def frame(step: int, picture: bytes, *boxes: Box) -> TrackedFrame:
         return session.process(Upload(picture, boxes=boxes), step / 10, 3, Job())
@@ -219,7 +228,7 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(session: Camer
     for step in range(10):
         frame(step, draw((0, 150), (1, 20)), stands, other)
     for step, top in ((10, 80), (11, 100), (12, 124)):
-        frame(step, lying, Box(149.5, top + 0.5, 40 + (top - 60) / 2, 149 - top), other)
+        frame(step, falling, Box(149.5, top + 0.5, 40 + (top - 60) / 2, 149 - top), other)
     happened = []
     for step in range(13, 60):
         shown = frame(step, lying, other)

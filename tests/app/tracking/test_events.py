@@ -226,7 +226,7 @@ STANDS, SAT, DOWN = Box(300, 200, 60, 200), Box(300, 290, 70, 110), Box(280, 340
 
 
 def follow(
-    boxes: Iterable[tuple[Box, float]], *, unclear: bool = True, rests: bool = False
+    boxes: Iterable[tuple[Box, float]], posture: PostureName | None = None, *, rests: bool = False
 ) -> tuple[list[Event], list[Event]]:
     """Events while a person's box moves, and as they are lost; hips are not seen."""
     detector, events, frame = EventDetector(), [], 0
@@ -234,7 +234,7 @@ def follow(
     for box, seconds in boxes:
         for _ in range(round(seconds * FPS)):
             events += detector.update(
-                7, frame / FPS, shares, Reliability(1, 1), None, box, unclear=unclear, rests=rests
+                7, frame / FPS, shares, Reliability(1, 1), None, box, posture=posture, rests=rests
             )
             frame += 1
     return events, [*detector.lost(7, frame / FPS, FRAME)]
@@ -264,8 +264,13 @@ def test_other_boxes_are_no_fall(boxes: list[tuple[Box, float]]) -> None:
 
 
 def test_a_clear_posture_says_more_than_the_box() -> None:
-    assert follow([(STANDS, 2), (DOWN, 6)], unclear=False)[0] == []
+    assert follow([(STANDS, 2), (DOWN, 6)], "bending")[0] == []
     assert follow([(STANDS, 2), (DOWN, 6)], rests=True) == ([], [])
+
+
+def test_nobody_sits_lower_than_a_seat() -> None:
+    assert follow([(STANDS, 2), (SAT, 6)], "sitting")[0] == []
+    assert names(follow([(STANDS, 2), (SAT, 1), (DOWN, 6)], "sitting")[0]) == [("fell", "instant")]
 
 
 TIPPED = (Box(120, 370, 280, 110), 0.2)
