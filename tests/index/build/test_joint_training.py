@@ -6,12 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 torch = pytest.importorskip("torch", reason="needs the build extra: torch")
 
-from index.build.reranker import (  # noqa: E402
-    Examples,
-    TrainingConfig,
-    in_whole_numbers,
-    train,
-)
 from index.network import (  # noqa: E402
     AXES,
     JOINT_BINS,
@@ -21,6 +15,12 @@ from index.network import (  # noqa: E402
 )
 from index.skeleton import JOINTS  # noqa: E402
 from index.store import PoseIndex  # noqa: E402
+from scripts.training.train_reranker import (  # noqa: E402
+    Examples,
+    TrainingConfig,
+    in_whole_numbers,
+    train,
+)
 
 
 @pytest.fixture(scope="module")
