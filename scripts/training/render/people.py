@@ -242,6 +242,10 @@ def person_materials(materials: Materials, generator: Generator) -> NDArray[np.i
     return np.array([materials.add(row) for row in rows], np.int32)
 
 
+AGES = (0.08, 0.2, 0.33, 0.45, 0.6, 0.67, 0.72, 0.72, 0.8, 0.8, 0.9, 0.9, 0.98)
+"""Ages drawn from, as :class:`index.build.body.Phenotype` has them: 0 newborn, 0.33 child."""
+
+
 def cast(count: int, seed: int, garments: Path, *, held_out: bool) -> list[Person]:
     """Make people of any build in any clothes; held-out people wear garments of their own."""
     generator = np.random.default_rng([seed, int(held_out)])
@@ -258,7 +262,7 @@ def cast(count: int, seed: int, garments: Path, *, held_out: bool) -> list[Perso
         phenotype = Phenotype(
             f"photographed-{seed}-{number}",
             float(np.clip((0.95 if female else 0.05) + generator.normal(0, 0.03), 0, 1)),
-            float(generator.choice([0.45, 0.6, 0.67, 0.72, 0.8, 0.9, 0.98])),
+            float(generator.choice(AGES)),
             float(generator.uniform(0.3, 0.85)),
             float(generator.uniform(0.25, 0.85)),
             float(np.clip(0.36 + generator.normal(0, 0.08), 0.15, 0.75)),

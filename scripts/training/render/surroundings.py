@@ -18,6 +18,10 @@ from scripts.training.render.posing import Support
 TABLES, WALKING_FRAMES = 0.42, 0.07
 """Shares: of people on chairs who sit at a table; of people with a walking frame at hand."""
 
+AT_FURNITURE, UNDER_FURNITURE = 0.5, 0.3
+"""Shares: of people on their feet who stand at a table or a counter, or before a seat; of people on
+the floor who lie under a table or a chair. Otherwise furniture alone would mean sitting."""
+
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
 _EARS = [LANDMARK_NAMES.index(f"{side}_ear") for side in ("left", "right")]
 
@@ -75,7 +79,41 @@ def support_of(
         turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
         away = generator.uniform(0.3, 0.9) * level_direction(generator)
         return low, [frame.placed(turn, away + np.array([0, low, 0]))]
+    if wanted in ("standing", "bending") and generator.random() < AT_FURNITURE:
+        return low, [_beside(vertices, low, materials, generator)]
+    if wanted == "lying" and generator.random() < UNDER_FURNITURE:
+        return low, [_over(vertices, low, materials, generator)]
     return low, []
+
+
+def _beside(
+    vertices: NDArray[np.float32], floor: float, materials: Materials, generator: Generator
+) -> Mesh:
+    """A table or a counter before a person on their feet, or a seat behind them."""
+    if generator.random() < 0.7:
+        top = floor + generator.uniform(0.62, 1.15)
+        front = float(np.quantile(vertices[vertices[:, 1] < top, 2], 0.98))
+        return furniture.desk(floor, top, front + generator.uniform(0.0, 0.4), materials, generator)
+    seat = furniture.chair(floor, floor + generator.uniform(0.38, 0.52), -0.3, materials, generator)
+    away = 0.35 - float(np.quantile(vertices[:, 2], 0.02)) + generator.uniform(0, 0.5)
+    return seat.placed(np.eye(3), [generator.normal(0, 0.2), 0.0, -away])
+
+
+def _over(
+    vertices: NDArray[np.float32], floor: float, materials: Materials, generator: Generator
+) -> Mesh:
+    """A table or a chair over a part of a person on the floor."""
+    if generator.random() < 0.6:
+        thing = furniture.desk(
+            floor, floor + generator.uniform(0.6, 0.8), -0.3, materials, generator
+        )
+    else:
+        thing = furniture.chair(
+            floor, floor + generator.uniform(0.4, 0.52), -0.3, materials, generator
+        )
+    turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
+    x, _, z = vertices[generator.integers(len(vertices))].tolist()
+    return thing.placed(turn, [x, 0.0, z])
 
 
 def _cycle(
