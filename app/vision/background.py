@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from threading import Lock
 
 import cv2
 import numpy as np
@@ -45,6 +47,10 @@ class BackgroundSegmenter:
         is_too_thin = rows < min_height or columns < _ASPECT[0] * min_height
         if is_too_thin and frame.shape == self._background.shape:
             return []
+        with _turn(frame):
+            return self._regions(frame, min_height)
+
+    def _regions(self, frame: NDArray[np.uint8], min_height: float) -> list[Detection]:
         changed = self._changed(frame)
         # Closing joins the parts of a body, for example if its belt has the pavement's colour.
         reach = max(1, round(self._min_person_px / _HEIGHT_PER_GAP))
@@ -74,7 +80,8 @@ class BackgroundSegmenter:
         wanted.
         """
         height, width = frame.shape[:2]
-        changed = self._changed(frame)
+        with _turn(frame):
+            changed = self._changed(frame)
         found: list[Silhouette | None] = []
         for row, whole in enumerate(boxes):
             checkpoint()
@@ -103,6 +110,15 @@ class BackgroundSegmenter:
 MAX_PX = 1920 * 1080
 """Larger frames are reduced: one of 12 megapixels took 13 s and 2 GB."""
 
+_REDUCED = 2 / 3  # Their sides then, relative to the largest: comparing takes 70 bytes a pixel.
+_LARGE_ONES = Lock()
+
+
+def _turn(frame: NDArray[np.uint8]) -> AbstractContextManager[object]:
+    """Wait for the turn of a large frame: for a while, it takes several times its size."""
+    return _LARGE_ONES if frame.shape[0] * frame.shape[1] > MAX_PX else nullcontext()
+
+
 _BLUR_PX = 0.8  # Standard deviation of the blur before frames are compared.
 # Difference, in standard deviations of the noise, from which a pixel has certainly changed, and
 # from which a pixel connected to such a one has changed.
@@ -122,7 +138,7 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")
     height, width = frame.shape[:2]
     if height * width > MAX_PX:
-        factor = math.sqrt(MAX_PX / (height * width))
+        factor = _REDUCED * math.sqrt(MAX_PX / (height * width))
         size = max(1, int(factor * width)), max(1, int(factor * height))
         reduced = foreground(shrink_quickly(frame, *size), shrink_quickly(background, *size))
         return cv2.resize(
