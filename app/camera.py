@@ -285,7 +285,7 @@ class CameraSession:
                     alone=not any(
                         other.box_filter.seen.intersection(place) > 0
                         for other in self._tracks
-                        if other.seen_at == timestamp
+                        if other.track_id is not None and other.seen_at == timestamp
                     ),
                 )
                 self._events += events
