@@ -47,24 +47,22 @@ class BackgroundSegmenter:
         is_too_thin = rows < min_height or columns < _ASPECT[0] * min_height
         if is_too_thin and frame.shape == self._background.shape:
             return []
-        with _turn(frame):
-            return self._regions(frame, min_height)
-
-    def _regions(self, frame: NDArray[np.uint8], min_height: float) -> list[Detection]:
-        changed = self._changed(frame)
+        step = math.ceil(math.sqrt(rows * columns / MAX_PX))
+        changed = self._changed(frame)[::step, ::step]
         # Closing joins the parts of a body, for example if its belt has the pavement's colour.
-        reach = max(1, round(self._min_person_px / _HEIGHT_PER_GAP))
+        reach = max(1, round(self._min_person_px / step / _HEIGHT_PER_GAP))
         kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
         joined = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
         found = []
-        high = np.flatnonzero(stats[1:count, cv2.CC_STAT_HEIGHT] >= min_height) + 1
+        high = np.flatnonzero(stats[1:count, cv2.CC_STAT_HEIGHT] >= min_height / step) + 1
         for label, (left, top, width, height, _) in zip(high, stats[high].tolist(), strict=True):
             part = np.s_[top : top + height, left : left + width]
             own = changed[part] & (labels[part] == label)
             score = _likeness(width / height, float(own.mean()))
             if score > 0:
-                found.append(Detection(Box(left - 0.5, top - 0.5, width, height), score))
+                box = Box(step * left - 0.5, step * top - 0.5, step * width, step * height)
+                found.append(Detection(box, score))
         return sorted(found, key=lambda one: -one.score)
 
     def segment(
@@ -80,8 +78,7 @@ class BackgroundSegmenter:
         wanted.
         """
         height, width = frame.shape[:2]
-        with _turn(frame):
-            changed = self._changed(frame)
+        changed = self._changed(frame)
         found: list[Silhouette | None] = []
         for row, whole in enumerate(boxes):
             checkpoint()
@@ -102,7 +99,8 @@ class BackgroundSegmenter:
         """Pixels ``(H, W)`` that differ from the scene."""
         compared = self._compared
         if compared is None or compared[0] is not frame:
-            changed = foreground(frame, self._background)
+            with _turn(frame):
+                changed = foreground(frame, self._background)
             compared = self._compared = frame, changed
         return compared[1]
 

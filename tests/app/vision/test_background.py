@@ -61,6 +61,10 @@ def test_large_frames_are_compared_at_reduced_size(
     assert smaller.shape == exact.shape and smaller.dtype == bool
     assert (smaller != exact).any()
     assert iou(smaller, person) > 0.8
+    (before,) = BackgroundSegmenter(empty).detect(frame)
+    monkeypatch.undo()
+    (now,) = BackgroundSegmenter(empty).detect(frame)
+    assert before.box.iou(now.box) > 0.8
 
 
 def test_shadow_is_no_change(empty: np.ndarray) -> None:
