@@ -132,9 +132,10 @@ _SINKS_BELOW_SEATS_BY = 0.65
 _SINKS_BEFORE_LOSS_BY, _LOST_WITHIN_S = 0.3, 2.0
 # They are up again once the top has risen by this share of the height.
 _UP_AGAIN_BY = 0.25
-# Share of the frame's sides from whose ends on people may be leaving it, and the growth of the
-# width from which a body tips over: people who walk out below the camera hardly get wider.
-_BORDER_SHARE, _TIPS_BY = 0.02, 1.6
+# Share of the frame's sides from whose ends on people may be leaving it; the growth of the width
+# from which a body tips over, as people who walk out below the camera hardly get wider; and the
+# width, in heights, from which it lies across, as heads and shoulders are not that wide.
+_BORDER_SHARE, _TIPS_BY, _LIES_ACROSS = 0.02, 1.6, 2.5
 
 
 class SinkDetector:
@@ -167,7 +168,7 @@ class SinkDetector:
         """Whether a person who is not seen any more sank in the middle of the frame.
 
         People walk out of the frame at its left and right, and at its lower border, where their
-        feet leave it first; there, only those who tip over have sunk.
+        feet leave it first; there, only those who tip over or lie across have sunk.
         """
         if not self._recent:
             return False
@@ -181,6 +182,7 @@ class SinkDetector:
         left, _, right, lower = gaps_to_border(last, frame_shape)
         leaves = max(lower, gaps_to_border(before, frame_shape)[3]) <= near[0]
         leaves &= max(box.width for _, box in self._recent) < _TIPS_BY * before.width
+        leaves &= last.width < _LIES_ACROSS * last.height
         return not leaves and min(left, right) > near[1]
 
     def _sinks_from(self, share: float) -> Box | None:

@@ -52,6 +52,8 @@ _CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
 # held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
 # 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
 _RELIABILITY_EXPONENT = 0.25
+# Time in which a person comes to rest who is lost while falling.
+_COMES_TO_REST_S = 2.0
 # Share of the difference that corrects the known appearance.
 _APPEARANCE_GAIN = 0.1
 
@@ -79,7 +81,7 @@ class Track:
         """Time of the last sighting, seconds."""
         self.lies_at: Box | None = None
         """Where a person lies who fell and is not seen any more; None for others."""
-        self._patch = sighting.patch
+        self._patch, self._rests_from = sighting.patch, -math.inf
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
         self.beside = person.beside
@@ -219,6 +221,8 @@ class Track:
             fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
             events += map(self._annotated, fell)
         if events and alone:
+            self._rests_from = timestamp + _COMES_TO_REST_S
+        if timestamp <= self._rests_from:
             self._patch = Patch.of(frame, self.box_filter.seen)
         stays = self._patch is not None and self._patch.is_shown_by(frame)
         if self._event_detector.has_fallen and stays:

@@ -286,7 +286,8 @@ LEAVES = [(Box(300, 100 + 30 * n, 120, 380 - 30 * n), 0.1) for n in range(8)]
         # Past the left border, and out of the frame below the camera.
         ([(Box(0, 200, 60, 200), 2), (Box(0, 340, 70, 70), 0.3)], False),
         ([(Box(300, 100, 120, 380), 2), *LEAVES], False),
-        # At the same border, but tipping over.
+        # At the same border, but lying across, or tipping over.
+        ([(Box(300, 100, 120, 380), 2), (Box(280, 420, 170, 60), 0.3)], True),
         ([(Box(300, 180, 120, 300), 2), (Box(200, 300, 200, 180), 0.2), TIPPED], True),
     ],
 )
