@@ -93,8 +93,7 @@ class PeopleFinder:
         if source in _MARKED:
             return [person for person in people if person is not None]
         # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
-        distinct = {id(one): one for one in people if one}
-        return [replace(one, box=one.box.joined(one.whole_box)) for one in distinct.values()]
+        return [replace(one, box=one.box.joined(one.whole_box)) for one in people if one]
 
     def _targets(self, upload: DecodedUpload, job: Job) -> tuple[Source, list[Target], Cut | None]:
         """Where people are, who says so, and how they are cut out if not by their readings."""
@@ -188,8 +187,8 @@ class PeopleFinder:
         Returns
         -------
         list of Person or None
-            One for each target; None where nobody is seen, or a body that another target shows. If
-            that one is a detection that no track expected, its person stands there again.
+            One for each target; None where nobody is seen, or a body that another target shows. A
+            track whose window shows a detected body that no track expected has its person as well.
         """
         frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
         readings: list[PoseReading | None] = [None] * len(targets)
@@ -241,7 +240,7 @@ class PeopleFinder:
             people[row] = self._with_reading(person, reading, judged, upload, landmarks)
         for row, best in shown_by.items():
             unexpected = targets[best].detection is not None and targets[best].expected is None
-            if row not in rows and unexpected:
+            if targets[row].detection is None and unexpected:
                 people[row] = people[best]
         return people
 
@@ -327,8 +326,8 @@ def best_shown_by(
 ) -> dict[int, int]:
     """For each row with a reading, the row whose reading of the same body is kept.
 
-    A detection's is kept rather than a track's; of two detections that whose keypoints the reading
-    fits better, of two tracks that whose box is nearer to the body.
+    A detection's is kept rather than a track's; of two detections, the one whose keypoints fit the
+    reading better; of two tracks, the one whose box is nearer to the body.
     """
     read = {row: reading for row, reading in enumerate(readings) if reading is not None}
 

@@ -9,6 +9,7 @@ person's size.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -80,16 +81,17 @@ class NormalisedPerson:
     @property
     def feet_visible(self) -> bool:
         """Whether the photograph shows a foot; true without landmarks."""
-        landmarks = self.landmarks
-        return landmarks is None or landmarks.visibility[_ANKLES].max() >= _MIN_FEET_VISIBILITY
+        return self._shows(_ANKLES, _MIN_FEET_VISIBILITY)
 
     @property
     def whole(self) -> bool:
         """Whether the photograph shows the person from head to feet; true without landmarks."""
+        return self.feet_visible and self._shows(_HEAD, _MIN_HEAD_VISIBILITY)
+
+    def _shows(self, rows: Sequence[int], min_visibility: float) -> bool:
+        """Whether the photograph shows one of these landmarks; true without any."""
         landmarks = self.landmarks
-        return self.feet_visible and (
-            landmarks is None or landmarks.visibility[_HEAD].max() >= _MIN_HEAD_VISIBILITY
-        )
+        return landmarks is None or bool(landmarks.visibility[rows].max() >= min_visibility)
 
     def normalised_landmarks(self) -> NormalisedLandmarks | None:
         """The landmarks in the normalised frame, for matching; None if too few are visible."""

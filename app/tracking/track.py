@@ -209,10 +209,10 @@ class Track:
     ) -> tuple[list[Event], bool]:
         """The events of a person who is not seen any more, and whether the track goes on.
 
-        It does where the person fell, and the picture still shows the same at their place. Whoever
-        may have left across a border within the frame has not fallen by being lost. Whoever is lost
-        while falling lies there by now, unless somebody else is seen there, who may be them:
-        ``alone`` says that nobody is.
+        It does where the person fell, and the picture still shows the same at their place. A person
+        who may have left across a border within the frame has not fallen by being lost. A person
+        who is lost while falling lies there by now, unless another tracked person is seen there,
+        who may be the same: ``alone`` says that none is.
         """
         if self.track_id is None:
             return [], False

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from threading import Lock
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, shrink_quickly
+from app.vision.images import turn_of
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.silhouettes import fill_small_holes, keep_components, with_truncation
 
@@ -99,7 +98,7 @@ class BackgroundSegmenter:
         """Pixels ``(H, W)`` that differ from the scene."""
         compared = self._compared
         if compared is None or compared[0] is not frame:
-            with _turn(frame):
+            with turn_of(frame.shape[0] * frame.shape[1]):
                 changed = foreground(frame, self._background)
             compared = self._compared = frame, changed
         return compared[1]
@@ -109,14 +108,6 @@ MAX_PX = 1920 * 1080
 """Larger frames are reduced: one of 12 megapixels took 13 s and 2 GB."""
 
 _REDUCED = 2 / 3  # Their sides then, relative to the largest: comparing takes 70 bytes a pixel.
-_LARGE_ONES = Lock()
-
-
-def _turn(frame: NDArray[np.uint8]) -> AbstractContextManager[object]:
-    """Wait for the turn of a large frame: for a while, it takes several times its size."""
-    return _LARGE_ONES if frame.shape[0] * frame.shape[1] > MAX_PX else nullcontext()
-
-
 _BLUR_PX = 0.8  # Standard deviation of the blur before frames are compared.
 # Difference, in standard deviations of the noise, from which a pixel has certainly changed, and
 # from which a pixel connected to such a one has changed.

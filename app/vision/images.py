@@ -75,7 +75,7 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
         If the bytes are no image of :data:`FORMATS`, or a broken one.
     """
     header = _checked_header(data, max_pixels)
-    with _turn(header):
+    with turn_of(header.width * header.height):
         return _photograph(data, header)
 
 
@@ -103,9 +103,12 @@ _LARGE_PX = 2_500_000  # More than a frame of 1080p.
 _LARGE_ONES = Lock()
 
 
-def _turn(header: Image.Image) -> AbstractContextManager[object]:
-    """Wait for the turn of a large image: while it is decoded, it takes several times its size."""
-    return _LARGE_ONES if header.width * header.height > _LARGE_PX else nullcontext()
+def turn_of(pixels: int) -> AbstractContextManager[object]:
+    """Wait for the turn of a large image: while it is worked on, it takes several times its size.
+
+    Small images do not wait.
+    """
+    return _LARGE_ONES if pixels > _LARGE_PX else nullcontext()
 
 
 _ORIENTATION, _ON_THE_SIDE = 0x0112, (5, 6, 7, 8)  # EXIF tag, and values that swap the sides.
@@ -194,7 +197,7 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         to mark people.
     """
     header = _checked_header(data, max_pixels)
-    with _turn(header):
+    with turn_of(header.width * header.height):
         return _checked(_label_image(data, header))
 
 

@@ -230,7 +230,7 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(
     for step, top in ((10, 80), (11, 100), (12, 124)):
         frame(step, falling, Box(149.5, top + 0.5, 40 + (top - 60) / 2, 149 - top), other)
     happened = []
-    for step in range(13, 60):  # The person comes to rest within 4 s.
+    for step in range(13, 60):  # After 4 s the person has come to rest.
         shown = frame(step, falling if step < 40 else lying, other)
         happened += [event.event for event in shown.events if event.track_id == 1]
     assert happened == ["fell"]

@@ -105,7 +105,7 @@ def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> No
 def test_a_detected_person_whom_the_window_of_a_track_shows_is_its_person(
     drawn: Estimator, detector: ColourDetector
 ) -> None:
-    """A person who falls quickly leaves the place where they are expected."""
+    """In a quick fall, a person is soon far from the expected place."""
     assert followed(drawn, 104, 10, time=SEARCH_EVERY_S) == [0]
     # Another track expects the person there; appearance and place decide.
     assert followed(drawn, 104, 10, 98, time=SEARCH_EVERY_S) == [None]
