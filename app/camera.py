@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Evidence, Person
-from app.estimation.upload import DecodedUpload, Rectification, Upload
+from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.appearance import Patch, appearance_histogram
@@ -19,6 +19,7 @@ from app.tracking.track import Sighting, Track, associate
 from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
 from app.vision.geometry import Box
+from app.vision.rectification import Rectification
 from app.vision.silhouettes import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
 
@@ -170,7 +171,7 @@ class CameraSession:
             (height, width), (rows, columns) = before.square, now.square
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
         elif before.roll_deg != now.roll_deg:
-            reason = f"roll_deg was {before.roll_deg:g} before, it is {now.roll_deg:g} now"
+            reason = f"roll_deg was {before.roll_deg} before, it is {now.roll_deg} now"
         elif self._frames and gap > _MAX_GAP_S:
             reason = f"no frame came for {gap:.1f} s, more than {_MAX_GAP_S:g} s"
         elif self._frames and gap < 0:
@@ -281,7 +282,6 @@ class CameraSession:
                 events, stays = track.lose(
                     frame,
                     timestamp,
-                    may_have_left=self._is_cut_askew(track),
                     alone=not any(
                         other.box_filter.seen.intersection(place) > 0
                         for other in self._tracks
@@ -315,13 +315,7 @@ class CameraSession:
             self._rectification is not None
             and track.next_window is not None
             and not ends_at_border(track.box_filter.seen, self._rectification.upright)
-            and not self._is_cut_askew(track)
         )
-
-    def _is_cut_askew(self, track: Track) -> bool:
-        """Whether a person was last seen at the border of a frame that was turned askew."""
-        rectification = self._rectification
-        return rectification is not None and rectification.cuts_askew(track.box_filter.seen)
 
     def _with_poses(
         self,
@@ -350,7 +344,7 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
         points_2d=rectification.points_sent(tracked.pose.points_2d),
         points_3d=rectification.axes_sent(tracked.pose.points_3d),
     )
-    return replace(rectification.person_sent(tracked), pose=pose)
+    return replace(tracked.as_sent(rectification), pose=pose)
 
 
 def _with_looks(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:

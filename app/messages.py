@@ -25,6 +25,7 @@ _EXPECTED = {
     "greater_than": "more than {gt}",
     "less_than_equal": "at most {le}",
     "less_than": "less than {lt}",
+    "multiple_of": "a multiple of {multiple_of:g}",
     "literal_error": "{expected}",
     "string_too_short": "some text",
     "string_too_long": "at most {max_length} characters",

@@ -118,7 +118,7 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
         frame=decoded.sent,
         camera=decoded.rectification.camera_sent(decoded.camera),
         warnings=decoded.warnings,
-        persons=tuple(job.map(decoded.rectification.person_sent, from_left)),
+        persons=tuple(job.map(lambda one: one.as_sent(decoded.rectification), from_left)),
         timings_ms=job.timings_ms(),
     )
 

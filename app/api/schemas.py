@@ -44,11 +44,12 @@ Roll = Annotated[
     Field(
         ge=-360,
         le=360,
-        description="Clockwise rotation of the camera about its line of sight, degrees, -360 to "
-        "360; 0 without it. 90 for a camera whose upper side points to the right, so that people "
-        "have their heads at the left of its picture. Frames are turned upright before people are "
-        "looked for, and the answer is in pixels and axes of the frame that was sent. In a camera "
-        "session, a frame's own value wins.",
+        multiple_of=90,
+        description="Clockwise rotation of the camera about its line of sight, degrees, a multiple "
+        "of 90 from -360 to 360; 0 without it. 90 for a camera whose upper side points to the "
+        "right, so that people have their heads at the left of its picture. Frames are turned "
+        "upright before people are looked for, and the answer is in pixels and axes of the frame "
+        "that was sent. In a camera session, a frame's own value wins.",
         examples=[0.0],
     ),
 ]

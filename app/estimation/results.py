@@ -1,7 +1,7 @@
 """Results of the estimator: people as observed, with the poses that fit them."""
 
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,9 @@ from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
+from app.vision.rectification import Rectification
 from index.matching import PoseHypothesis
+from index.skeleton import wrap_degrees
 from index.store import Label
 
 Source = Literal["detector", "mask", "boxes", "background", "track"]
@@ -47,6 +49,17 @@ class ProjectedHypothesis(PoseHypothesis):
     points_2d: NDArray[np.float64]
     pelvis: NDArray[np.float64]
 
+    def as_sent(self, rectification: Rectification) -> Self:
+        """The same in pixels and axes of the frame as it was sent."""
+        roll_deg = float(wrap_degrees(self.label.roll_deg - rectification.roll_deg))
+        return replace(
+            self,
+            label=replace(self.label, roll_deg=roll_deg) if rectification.quarters else self.label,
+            points_2d=rectification.points_sent(self.points_2d),
+            points_3d=rectification.axes_sent(self.points_3d),
+            pelvis=rectification.axes_sent(self.pelvis),
+        )
+
 
 @dataclass(frozen=True)
 class Person:
@@ -79,6 +92,26 @@ class Person:
     def whole_box(self) -> Box:
         """The silhouette's box, or the detection's if there is no silhouette."""
         return self.box if self.silhouette is None else self.silhouette.box
+
+    def as_sent(self, rectification: Rectification) -> Self:
+        """The same in pixels and axes of the frame as it was sent, for answers.
+
+        The window for the next frame is not changed, since it is read in the rectified frame.
+        """
+        if not rectification.changes:
+            return self
+        landmarks = self.landmarks and replace(
+            self.landmarks,
+            positions=rectification.points_sent(self.landmarks.positions),
+            metres=rectification.axes_sent(self.landmarks.metres),
+        )
+        return replace(
+            self,
+            box=rectification.box_sent(self.box),
+            silhouette=self.silhouette and rectification.silhouette_sent(self.silhouette),
+            landmarks=landmarks,
+            hypotheses=tuple(one.as_sent(rectification) for one in self.hypotheses),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

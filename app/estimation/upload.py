@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal, TypeVar, cast
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Person, ProjectedHypothesis
 from app.scheduling.job import Job
-from app.vision.geometry import Box, transform_points
+from app.vision.geometry import Box
 from app.vision.images import (
     ImageError,
     ImageTooLargeError,
@@ -26,13 +24,7 @@ from app.vision.images import (
     decode_mask,
 )
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
-from app.vision.people import Silhouette, silhouette_from_mask
-from app.vision.silhouettes import ends_at_border
-from index.skeleton import rotate_clockwise, wrap_degrees
-
-Pixels = TypeVar("Pixels", bound=NDArray[Any])
-AnyPerson = TypeVar("AnyPerson", bound=Person)
-
+from app.vision.rectification import Rectification
 
 T = TypeVar("T")
 
@@ -286,165 +278,3 @@ def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
         f"expected boxes {thin}inside the frame of {width}x{height} pixels, "
         f"got box {position}: {[box.x, box.y, box.width, box.height]}",
     )
-
-
-@dataclass(frozen=True)
-class Rectification:
-    """How a frame was rectified: its pixels made square, then the camera's roll undone.
-
-    Height and width of the frame as sent, with square pixels, and turned clockwise by ``roll_deg``,
-    which is from 0 to below 360.
-    """
-
-    sent: tuple[int, int]
-    square: tuple[int, int]
-    upright: tuple[int, int]
-    roll_deg: float
-
-    @classmethod
-    def of_frame(cls, frame_shape: tuple[int, ...], optics: Optics) -> Rectification:
-        """Widen or heighten a frame, so that no detail is lost, and turn all of it upright.
-
-        Examples
-        --------
-        >>> Rectification.of_frame((1080, 960), Optics(pixel_aspect=2.0, roll_deg=90)).upright
-        (1920, 1080)
-        """
-        height, width = frame_shape[:2]
-        aspect, roll_deg = optics.pixel_aspect or 1.0, (optics.roll_deg or 0.0) % 360
-        square = round(height * max(1.0, 1 / aspect)), round(width * max(1.0, aspect))
-        upright = square if roll_deg % 180 == 0 else square[::-1]
-        if roll_deg % 90:
-            turn = np.abs(_rotation(roll_deg))
-            across, down = np.ceil(turn @ square[::-1]).astype(int).tolist()
-            upright = down, across
-        return cls((height, width), square, upright, roll_deg)
-
-    @property
-    def changes(self) -> bool:
-        """Whether the frame is not rectified as it was sent."""
-        return self.sent != self.square or self.roll_deg != 0
-
-    def rectify(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:
-        """Rectify an image ``(H, W, ...)``; what lies beyond it is 0."""
-        if not self.changes:
-            return image
-        if self.roll_deg % 90:
-            size = self.upright[::-1]
-            turned = cv2.warpAffine(image, self._matrix, size, flags=interpolation)
-            return cast(Pixels, turned)
-        resized = cv2.resize(image, self.square[::-1], interpolation=interpolation)
-        return cast(Pixels, _turned(resized, self.roll_deg))
-
-    def points(self, sent: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` of the frame as sent, in the rectified one."""
-        return transform_points(self._matrix, sent) if self.changes else sent
-
-    def points_sent(self, rectified: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Points ``(..., 2)`` of the rectified frame, in the one that was sent."""
-        return transform_points(self._matrix_sent, rectified) if self.changes else rectified
-
-    def axes_sent(self, rectified: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Vectors ``(..., 3)`` in axes of the upright camera, in those of the real one."""
-        return rotate_clockwise(rectified, -self.roll_deg) if self.roll_deg else rectified
-
-    def boxes(self, sent: Sequence[Box]) -> list[Box]:
-        """Boxes of the frame as sent, in the rectified one."""
-        return [_about(self.points(_corners(box))) for box in sent] if self.changes else [*sent]
-
-    def box_sent(self, rectified: Box) -> Box:
-        """A box of the rectified frame, in the one that was sent."""
-        return _about(self.points_sent(_corners(rectified))) if self.changes else rectified
-
-    def cuts_askew(self, box: Box) -> bool:
-        """Whether a slanted border, within the rectified frame, may cut a person in a box."""
-        return self.roll_deg % 90 != 0 and ends_at_border(self.box_sent(box), self.sent)
-
-    def camera_sent(self, camera: PinholeCamera) -> PinholeCamera:
-        """The camera of the rectified frame, before it was turned upright."""
-        return camera.centred(self.square)
-
-    def person_sent(self, person: AnyPerson) -> AnyPerson:
-        """A person of the rectified frame, in pixels and axes of the one that was sent.
-
-        For answers only: the window for the next frame is not changed, since it is read in the
-        rectified frame. Where the frame is turned by an angle that is no multiple of 90 degrees,
-        the box is the silhouette's.
-        """
-        if not self.changes:
-            return person
-        landmarks = person.landmarks and replace(
-            person.landmarks,
-            positions=self.points_sent(person.landmarks.positions),
-            metres=self.axes_sent(person.landmarks.metres),
-        )
-        silhouette = person.silhouette and self._silhouette_sent(person.silhouette)
-        box = self.box_sent(person.box)
-        if silhouette and self.roll_deg % 90:
-            box = silhouette.box
-        hypotheses = tuple(self._hypothesis_sent(one) for one in person.hypotheses)
-        return replace(
-            person, box=box, silhouette=silhouette, landmarks=landmarks, hypotheses=hypotheses
-        )
-
-    @cached_property
-    def _matrix(self) -> NDArray[np.float64]:
-        """Affine transform ``(2, 3)`` from the frame as sent to the rectified one."""
-        sent, square, upright = (np.array(s[::-1]) for s in (self.sent, self.square, self.upright))
-        linear = _rotation(self.roll_deg) * (square / sent)
-        return np.column_stack([linear, (upright - 1) / 2 - linear @ ((sent - 1) / 2)])
-
-    @cached_property
-    def _matrix_sent(self) -> NDArray[np.float64]:
-        return np.asarray(cv2.invertAffineTransform(self._matrix), np.float64)
-
-    def _hypothesis_sent(self, hypothesis: ProjectedHypothesis) -> ProjectedHypothesis:
-        label = hypothesis.label
-        if self.roll_deg:
-            label = replace(label, roll_deg=float(wrap_degrees(label.roll_deg - self.roll_deg)))
-        return replace(
-            hypothesis,
-            label=label,
-            points_2d=self.points_sent(hypothesis.points_2d),
-            points_3d=self.axes_sent(hypothesis.points_3d),
-            pelvis=self.axes_sent(hypothesis.pelvis),
-        )
-
-    def _silhouette_sent(self, silhouette: Silhouette) -> Silhouette | None:
-        mask = silhouette.mask(self.upright).view(np.uint8)
-        if self.roll_deg % 90:
-            flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
-            sent = cv2.warpAffine(mask, self._matrix, self.sent[::-1], flags=flags) > 0
-        else:
-            turned = _turned(mask, -self.roll_deg)
-            sent = cv2.resize(turned, self.sent[::-1], interpolation=cv2.INTER_NEAREST) > 0
-        if not sent.any():
-            # The silhouette is narrower than a pixel of the frame as sent.
-            column, row = self.points_sent(silhouette.centroid).round().astype(int).tolist()
-            sent[min(max(row, 0), self.sent[0] - 1), min(max(column, 0), self.sent[1] - 1)] = True
-        return silhouette_from_mask(
-            sent, segmenter=silhouette.segmenter, truncated=silhouette.truncated
-        )
-
-
-def _rotation(roll_deg: float) -> NDArray[np.float64]:
-    """Rotation ``(2, 2)`` of a picture, clockwise."""
-    cosine, sine = np.cos(np.deg2rad(roll_deg)), np.sin(np.deg2rad(roll_deg))
-    return np.array([[cosine, -sine], [sine, cosine]])
-
-
-_QUARTERS = {90: cv2.ROTATE_90_CLOCKWISE, 180: cv2.ROTATE_180, 270: cv2.ROTATE_90_COUNTERCLOCKWISE}
-
-
-def _turned(image: NDArray[Any], roll_deg: float) -> NDArray[Any]:
-    """Turn an image ``(H, W, ...)`` clockwise by a multiple of 90 degrees."""
-    quarters = roll_deg % 360
-    return cv2.rotate(image, _QUARTERS[int(quarters)]) if quarters else image
-
-
-def _corners(box: Box) -> NDArray[np.float64]:
-    return np.array([[x, y] for x in (box.x, box.right) for y in (box.y, box.bottom)])
-
-
-def _about(points: NDArray[np.float64]) -> Box:
-    return Box.from_edges(*points.min(axis=0).tolist(), *points.max(axis=0).tolist())

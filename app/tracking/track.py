@@ -200,26 +200,18 @@ class Track:
         return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
 
     def lose(
-        self,
-        frame: NDArray[np.uint8],
-        timestamp: float,
-        *,
-        may_have_left: bool = False,
-        alone: bool = True,
+        self, frame: NDArray[np.uint8], timestamp: float, *, alone: bool = True
     ) -> tuple[list[Event], bool]:
         """The events of a person who is not seen any more, and whether the track goes on.
 
         It does where the person fell, and the picture still shows the same at their place. A person
-        who may have left across a border within the frame has not fallen by being lost. A person
         who is lost while falling lies there by now, unless another tracked person is seen there,
         who may be the same: ``alone`` says that none is.
         """
         if self.track_id is None:
             return [], False
-        events: list[Event] = []
-        if not may_have_left:
-            fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
-            events += map(self._annotated, fell)
+        fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
+        events = [*map(self._annotated, fell)]
         if events and alone:
             self._rests_from = timestamp + _COMES_TO_REST_S
         if timestamp <= self._rests_from:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from app.camera import CameraSession
 from app.estimation.results import Person
-from app.estimation.upload import Rectification, Upload, UploadError
+from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator, network_threads
 from app.scheduling.job import DeadlineError, Job
 from app.vision.blazepose import MaskNetwork, PoseReading
@@ -268,15 +268,13 @@ def test_a_turned_camera_sees_the_people_of_an_upright_one(
         assert (mask_of(person, turned.shape) == mask).all()
 
 
-@pytest.mark.parametrize("roll_deg", [90.0, 35.0])
 def test_people_before_a_turned_camera_stand(
-    estimator: Estimator, street: NDArray[np.uint8], roll_deg: float
+    estimator: Estimator, street: NDArray[np.uint8]
 ) -> None:
-    upright = Rectification.of_frame(street.shape, Optics(roll_deg=-roll_deg))
-    turned = upright.rectify(street)
+    turned = np.rot90(street).copy()
     session = CameraSession(estimator)
     for step in range(4):
-        upload = Upload(turned, optics=Optics(roll_deg=roll_deg))
+        upload = Upload(turned, optics=Optics(roll_deg=90))
         seen = session.process(upload, step / 5, 5, Job())
         assert {event.event for event in seen.events} <= {"entered"}
     assert len(seen.persons) >= 2

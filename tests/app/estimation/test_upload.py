@@ -4,15 +4,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from app.estimation.upload import Rectification, Upload, UploadDecoder, UploadError
+from app.estimation.upload import Upload, UploadDecoder, UploadError
 from app.scheduling.job import Job
 from app.vision.geometry import Box
-from app.vision.optics import Optics, PinholeCamera
+from app.vision.optics import Optics
 from tests.conftest import png
 
 DECODER = UploadDecoder(max_pixels=40_000, max_persons=2)
@@ -117,40 +115,6 @@ def test_people_apart_may_have_labels_of_their_own() -> None:
     assert decoded.mask is not None and len(decoded.mask.present) == 2
 
 
-SIDES = st.integers(1, 2000)
-OPTICS = st.builds(
-    Optics,
-    pixel_aspect=st.none() | st.floats(0.25, 4),
-    roll_deg=st.none() | st.sampled_from((-90.0, 90.0, 180.0, 270.0, 360.0)) | st.floats(-360, 360),
-)
-
-
-@given(SIDES, SIDES, OPTICS)
-def test_points_of_a_frame_lie_within_the_rectified_one_and_lead_back(
-    height: int, width: int, optics: Optics
-) -> None:
-    rectification = Rectification.of_frame((height, width), optics)
-    corners = np.array([[x, y] for x in (-0.5, width - 0.5) for y in (-0.5, height - 0.5)])
-    rectified = rectification.points(corners)
-    low, high = np.array([-0.5, -0.5]), np.array(rectification.upright[::-1]) - 0.5
-    assert (rectified > low - 1e-6).all() and (rectified < high + 1e-6).all()
-    # A side is rounded to whole pixels, so at most half of one is lost at either end.
-    assert rectified.min(axis=0) == pytest.approx(low, abs=0.51)
-    assert rectified.max(axis=0) == pytest.approx(high, abs=0.51)
-    assert rectification.points_sent(rectified) == pytest.approx(corners, abs=1e-6)
-
-
-@given(OPTICS)
-def test_vectors_turn_with_the_points_that_they_project_to(optics: Optics) -> None:
-    rectification = Rectification.of_frame((300, 400), optics)
-    sent = PinholeCamera.of_frame(rectification.square, 70)
-    vectors = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.0], [0.0, 0.0, 3.0]])
-    seen = rectification.points_sent(sent.centred(rectification.upright).project(vectors))
-    scale = np.array(rectification.sent[::-1]) / rectification.square[::-1]
-    places = (sent.project(rectification.axes_sent(vectors)) + 0.5) * scale - 0.5
-    assert places == pytest.approx(seen, abs=1e-6)
-
-
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4])
 def test_quarter_turns_are_exact(quarters: int) -> None:
     picture, box = frame(), Box(9.5, 19.5, 30, 50)
@@ -166,22 +130,12 @@ def test_quarter_turns_are_exact(quarters: int) -> None:
     assert vars(decoded.boxes[0]) == pytest.approx(vars(mask.boxes[0]))
 
 
-def test_turning_stays_within_the_largest_frame() -> None:
-    """A turned strip needs many times its pixels; boxes grow alike."""
-    with pytest.raises(UploadError, match="square and upright, got 1422x1422") as error:
-        DECODER.decode(Upload(frame(20, 1990), optics=Optics(roll_deg=45)), Job())
+def test_rectified_frames_and_boxes_stay_within_the_limits() -> None:
+    """Pixels of a quarter of their height make four of each."""
+    with pytest.raises(UploadError, match="square and upright, got 400x480") as error:
+        DECODER.decode(Upload(frame(120, 400), optics=Optics(pixel_aspect=0.25)), Job())
     assert (error.value.field, error.value.reason) == ("frame", "too_large")
-    boxes = [Box(-0.5, 60, 160, 0.1)] * 15
-    many = UploadDecoder(max_pixels=40_000, max_persons=15)
-    upload = Upload(frame(), boxes=boxes, optics=Optics(roll_deg=45))
+    boxes = [Box(-0.5, -0.5, 160, 120)] * 3
+    many = UploadDecoder(max_pixels=80_000, max_persons=15)
     with pytest.raises(UploadError, match="boxes: expected people whose boxes"):
-        many.decode(upload, Job())
-
-
-@pytest.mark.parametrize("roll_deg", [20.0, -20.0, 110.0, 90.0])
-def test_slanted_borders_cut_people_within_the_rectified_frame(roll_deg: float) -> None:
-    rectification = Rectification.of_frame((480, 640), Optics(roll_deg=roll_deg))
-    is_slanted = roll_deg % 90 != 0
-    for place, is_cut in (((320.0, 240.0), False), ((320.0, 470.0), True), ((5.0, 240.0), True)):
-        x, y = rectification.points(np.array(place)).tolist()
-        assert rectification.cuts_askew(Box(x - 20, y - 40, 40, 80)) == (is_cut and is_slanted)
+        many.decode(Upload(frame(), boxes=boxes * 2, optics=Optics(pixel_aspect=0.25)), Job())
