@@ -1,4 +1,4 @@
-"""The service: HTTP, images, and one use case: a frame in, persons with hypotheses out."""
+"""The service: photographs, cameras and videos in, people with their poses and events out."""
 
 import os
 from importlib.metadata import PackageNotFoundError, version

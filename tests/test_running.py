@@ -12,6 +12,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from pydantic.fields import FieldInfo
 
 from app.http.access_log import JsonFormatter
+from app.scheduling.job import STAGES
 from app.settings import VARIABLES, Settings, variable
 from scripts.__main__ import COMMANDS
 from tests.conftest import ROOT
@@ -52,6 +53,11 @@ def default(field: FieldInfo) -> str:
     if isinstance(value, Path):
         return f"`{value.relative_to(ROOT)}` of the service"
     return "none" if value == () else f"`{value}`"
+
+
+def test_the_stages_of_a_frame_are_listed() -> None:
+    (row,) = re.findall(r"^\| `pose_stage_seconds` .*", part("Metrics"), re.MULTILINE)
+    assert names(row) == {"pose_stage_seconds", "stage", "total", *STAGES}
 
 
 def test_the_table_of_settings_is_not_stale() -> None:

@@ -1,1 +1,1 @@
-"""The public contract: schemas, replies, COCO formats, overlays. Imports tracking and below."""
+"""The public contract: schemas, replies, overlays. Imports tracking and below."""

@@ -1,1 +1,1 @@
-"""The one use case: a frame in, people with hypotheses out."""
+"""An upload to people, and people to poses and postures. Imports vision, index and below."""

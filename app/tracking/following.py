@@ -168,7 +168,9 @@ class _Scene:
         small = shrink_quickly(frame, width, height)
         self._now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         places = [track.box_filter.predict(time) for track in tracks]
-        places += [self._boxes.setdefault(track, track.box_filter.seen) for track in tracks]
+        # Tracks that have ended are let go.
+        self._boxes = {one: self._boxes.get(one, one.box_filter.seen) for one in tracks}
+        places += self._boxes.values()
         if self._searched is None or self._differs(self._searched, now, scale, places):
             self._changed_at = time
         return time - self._changed_at >= _STILL_AFTER_S

@@ -1,0 +1,132 @@
+"""A camera session keeps in memory what the model card lists, and forgets it as the card says."""
+
+import gc
+import re
+import weakref
+from collections import deque
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.camera import CameraSession
+from app.cameras import CameraKey, CameraSessions
+from app.estimation.upload import Upload
+from app.photograph import Estimator
+from app.scheduling.job import Job
+from app.tracking.actions import shipped_model
+from index.store import PoseIndex
+from tests.app.drawn import draw, drawn_estimator, send
+from tests.conftest import ROOT, WALKERS
+
+_SECTION = (
+    (ROOT / "docs" / "model-card.md").read_text().split("### What a camera session keeps\n")[1]
+)
+LISTED = {
+    name
+    for row in re.findall(r"^\|(?:[^|]*\|){2}([^|]*)\|", _SECTION.split("\n## ")[0], re.MULTILINE)
+    for name in re.findall(r"`([^`]+)`", row)
+}
+"""Classes, or their attributes, whose arrays the table lists."""
+
+# Of these, an attribute is listed, since they show pixels or colours.
+_PICTURES = ("_Scene._now", "_Scene._searched", "Patch.grey", "Track.appearance")
+# These hold no data: what is reached through them is code, or the same for all sessions.
+_CODE = (type, ModuleType, FunctionType, BuiltinFunctionType, MethodType)
+_CONTAINERS = (list, tuple, dict, set, frozenset, deque)
+
+
+def kept_arrays(session: CameraSession) -> dict[str, list[NDArray[np.generic]]]:
+    """All arrays that a session reaches, by the class that holds them, pictures by attribute.
+
+    A view counts as the array that it shows a part of, since it keeps that in memory.
+    """
+    estimator = session._estimator
+    shared = (estimator, estimator.finder, estimator.models, shipped_model())
+    seen = {id(one) for one in shared}
+    found: dict[str, list[NDArray[np.generic]]] = {}
+    unvisited: list[tuple[str, str, object]] = [("CameraSession", "", session)]
+    while unvisited:
+        owner, name, value = unvisited.pop()
+        if id(value) in seen or isinstance(value, _CODE):
+            continue
+        seen.add(id(value))
+        if isinstance(value, bytes | bytearray | memoryview):
+            value = np.frombuffer(value, np.uint8)
+        if isinstance(value, np.ndarray):
+            while isinstance(value.base, np.ndarray):
+                value = value.base
+            attribute = f"{owner}.{name}"
+            found.setdefault(attribute if attribute in _PICTURES else owner, []).append(value)
+        elif isinstance(value, _CONTAINERS):
+            unvisited += [(owner, name, part) for part in gc.get_referents(value)]
+        else:
+            slots = [
+                slot for kind in type(value).__mro__ for slot in getattr(kind, "__slots__", ())
+            ]
+            named = {slot: getattr(value, slot, None) for slot in slots}
+            named |= getattr(value, "__dict__", {})
+            unvisited += [(type(value).__name__, key, part) for key, part in named.items()]
+    return found
+
+
+@pytest.fixture(scope="module")
+def street(estimator: Estimator) -> CameraSession:
+    """A session that has read five people in a photograph of a street."""
+    session = CameraSession(estimator)
+    for step in range(3):
+        session.process(Upload(WALKERS.read_bytes()), step / 10, 7, Job())
+    assert len(session.track_ids) == 5
+    return session
+
+
+def test_the_model_card_lists_all_that_a_session_keeps(street: CameraSession) -> None:
+    assert kept_arrays(street).keys() == LISTED
+
+
+def test_pictures_are_as_small_as_the_model_card_says(street: CameraSession) -> None:
+    kept = kept_arrays(street)
+    shapes = {name: [array.shape for array in kept.pop(name)] for name in _PICTURES}
+    # No smaller person is wanted than a twelfth of the photograph's 576 rows.
+    assert shapes["_Scene._now"] == shapes["_Scene._searched"] == [(12 * 8, 89)]
+    assert shapes["Patch.grey"] == [(16, 16)] * 5
+    assert shapes["Track.appearance"] == [(80,)] * 5
+    # The rest are hypotheses of a frame, at most twelve skeletons.
+    assert all(array.size <= 12 * 24 * 3 for arrays in kept.values() for array in arrays)
+
+
+def test_a_person_who_has_left_is_forgotten(tiny_index: PoseIndex) -> None:
+    session = CameraSession(drawn_estimator(tiny_index))
+    for step in range(4):
+        send(session, step / 10, (0, 100), (1, 200))
+    assert len(kept_arrays(session)["Patch.grey"]) == 2
+    for step in range(4, 30):
+        send(session, step / 10, (1, 200))
+    kept = kept_arrays(session)
+    assert len(kept["Patch.grey"]) == len(kept["Track.appearance"]) == 1
+
+
+@pytest.mark.parametrize("ends", ["forget", "idle", "number"])
+def test_nothing_holds_a_session_that_has_ended(tiny_index: PoseIndex, ends: str) -> None:
+    estimator, now, begun = drawn_estimator(tiny_index), [0.0], []
+
+    def begin(estimator: Estimator) -> CameraSession:
+        session = CameraSession(estimator)
+        begun.append(weakref.ref(session))
+        return session
+
+    sessions = CameraSessions(
+        begin, max_sessions=1, idle_s=300, max_memory_bytes=10**9, clock=lambda: now[0]
+    )
+    yard, hall = CameraKey(0, "yard"), CameraKey(0, "hall")
+    sessions.process(yard, estimator, Upload(draw((0, 100))), 0.0, 3, Job())
+    if ends == "forget":
+        sessions.forget(yard)
+    elif ends == "idle":
+        now[0] = 301.0
+        sessions.end_idle()
+    else:
+        sessions.process(hall, estimator, Upload(draw()), 0.0, 3, Job())
+    gc.collect()
+    assert begun[0]() is None
