@@ -278,21 +278,24 @@ class CameraSession:
             )
             longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
-                place = track.box_filter.seen
                 events, stays = track.lose(
                     frame,
                     timestamp,
-                    alone=not any(
-                        other.box_filter.seen.intersection(place) > 0
-                        for other in self._tracks
-                        if other.track_id is not None and other.seen_at == timestamp
-                    ),
+                    alone=self._is_alone(track, track.box_filter.seen, timestamp),
                 )
                 self._events += events
                 if not stays:
                     continue
             kept.append(track)
         self._tracks = kept
+
+    def _is_alone(self, track: Track, place: Box, timestamp: float) -> bool:
+        """Whether no other tracked person is seen in a person's place."""
+        return not any(
+            other.box_filter.seen.intersection(place) > 0
+            for other in self._tracks
+            if other is not track and other.track_id is not None and other.seen_at == timestamp
+        )
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
         """Predicted box of a person hidden behind another person; None if nobody hides them."""
@@ -331,7 +334,8 @@ class CameraSession:
         persons = self._estimator.fit(people, upload.camera, max(n, DEFAULT_HYPOTHESES), job)
         tracked = []
         for person, (_, track) in zip(persons, seen, strict=True):
-            result, events = track.update(person, timestamp, zones)
+            alone = self._is_alone(track, person.box, timestamp)
+            result, events = track.update(person, timestamp, zones, alone=alone)
             self._events += events
             tracked.append(replace(result, hypotheses=result.hypotheses[:n]))
         return tuple(tracked)

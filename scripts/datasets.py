@@ -300,5 +300,13 @@ def home_films(real: Path) -> Iterator[HomeFilm]:
         )  # fmt: skip
 
 
+def ordinary_films(real: Path) -> Iterator[Path]:
+    """Films of ``real/scenes`` of ordinary cameras, in the order of their names."""
+    folder = real / "scenes"
+    for name, about in sorted(_read(folder / "truth.json").items()):
+        if about["kind"] == "ordinary":
+            yield folder / name
+
+
 def _read(file: Path) -> Any:
     return json.loads(file.read_text())

@@ -6,6 +6,7 @@
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate homes        films of homes as camera sessions, by source
+    python -m scripts evaluate ordinary     films in which nobody falls: alarms an hour
     python -m scripts evaluate actions      actions, postures and falls of tracks
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
@@ -28,6 +29,7 @@ EXPERIMENTS = {
     "people": "people",
     "photographs": "photographs",
     "homes": "homes",
+    "ordinary": "ordinary",
     "actions": "actions",
     "tracking": "tracking",
 }

@@ -123,15 +123,17 @@ class DropDetector:
         return max(_MIN_ON_GROUND_AFTER_DEEP_DROP, needed)
 
 
-# A person sinks if the top of the box sinks by this share of its height within so many seconds, and
-# its lower edge rises by no more than another: behind a table, only the lower edge moves.
-_SINKS_BY, _SINKS_WITHIN_S, _MAX_RISE = 0.4, 1.6, 0.15
+# A person sinks if the top of the box sinks by this share of its height within so many seconds, its
+# lower edge rises by no more than another (behind a table, only the lower edge moves), and its
+# height shrinks to a third one (people who walk towards a high camera sink as a whole).
+_SINKS_BY, _SINKS_WITHIN_S, _MAX_RISE, _SHRINKS_TO = 0.4, 1.6, 0.15, 0.75
 # The same share for people who seem to sit: no seat is that low.
 _SINKS_BELOW_SEATS_BY = 0.65
 # The same share for people who are lost at once: they may have sunk further.
 _SINKS_BEFORE_LOSS_BY, _LOST_WITHIN_S = 0.3, 2.0
-# They are up again once the top has risen by this share of the height.
-_UP_AGAIN_BY = 0.25
+# They are up again once the top has risen, and walk on once the foot has moved, by these shares of
+# the height; a body that falls takes its middle along by half of it.
+_UP_AGAIN_BY, _WALKS_ON_BY = 0.25, 1.0
 # Share of the frame's sides from whose ends on people may be leaving it; the growth of the width
 # from which a body tips over, as people who walk out below the camera hardly get wider; and the
 # width, in heights, from which it lies across, as heads and shoulders are not that wide.
@@ -144,7 +146,7 @@ class SinkDetector:
     def __init__(self) -> None:
         self._recent: deque[tuple[float, Box]] = deque()
         self._before: Box | None = None
-        self._top = 0.0
+        self._top, self._foot = 0.0, np.zeros(2)
         self.sunk_at: float | None = None
         """Time at which the box had sunk far enough, seconds; None unless it is still low."""
         self.is_below_seats = False
@@ -158,11 +160,16 @@ class SinkDetector:
         before = self._sinks_from(_SINKS_BY)
         if before is not None:
             if self.sunk_at is None:
-                self.sunk_at, self._before = timestamp, before
+                self.sunk_at, self._before, self._foot = timestamp, before, box.foot
             self._top = box.y
             self.is_below_seats |= self._sinks_from(_SINKS_BELOW_SEATS_BY) is not None
-        elif self._before is not None and box.y < self._top - _UP_AGAIN_BY * self._before.height:
+        if self._before is not None and self._is_up_again(box, self._before.height):
             self.sunk_at, self._before, self.is_below_seats = None, None, False
+
+    def _is_up_again(self, box: Box, height: float) -> bool:
+        """Whether a person who sank stands or walks again."""
+        moved = float(np.linalg.norm(box.foot - self._foot))
+        return box.y < self._top - _UP_AGAIN_BY * height or moved > _WALKS_ON_BY * height
 
     def was_lost(self, frame_shape: tuple[int, ...]) -> bool:
         """Whether a person who is not seen any more sank in the middle of the frame.
@@ -180,7 +187,7 @@ class SinkDetector:
             return False
         near = _BORDER_SHARE * np.array(frame_shape[:2])
         left, _, right, lower = gaps_to_border(last, frame_shape)
-        leaves = max(lower, gaps_to_border(before, frame_shape)[3]) <= near[0]
+        leaves = lower <= near[0]
         leaves &= max(box.width for _, box in self._recent) < _TIPS_BY * before.width
         leaves &= last.width < _LIES_ACROSS * last.height
         return not leaves and min(left, right) > near[1]
@@ -193,6 +200,7 @@ class SinkDetector:
             for _, box in self._recent
             if last.y - box.y >= share * box.height
             and last.bottom >= box.bottom - _MAX_RISE * box.height
+            and last.height <= _SHRINKS_TO * box.height
         ]
         return min(higher, key=lambda box: box.y, default=None)
 
@@ -209,6 +217,9 @@ STAYS_LOW_S = 2.5
 
 # Probability that a fall seen by the box alone is one.
 _SEEN_BY_BOX = 0.5
+# A fall needs a person whose posture was clear at most so long before: of people who are too small
+# or seen from straight above, nothing is known but a box that jumps.
+_CLEAR_BEFORE_S = 5.0
 
 
 class EventDetector:
@@ -217,7 +228,8 @@ class EventDetector:
     def __init__(self) -> None:
         self._last_at: float | None = None
         self._lying, self._arms_raised = _Hysteresis(), _Hysteresis()
-        self._down = _Hysteresis()
+        self._down, self._clear = _Hysteresis(), _Hysteresis()
+        self._clear_at = -math.inf
         self._drop, self._sink = DropDetector(), SinkDetector()
         self._rests = self._fallen = False
         self._down_s = 0.0
@@ -236,6 +248,7 @@ class EventDetector:
         *,
         posture: PostureName | None = None,
         rests: bool = False,
+        alone: bool = True,
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
@@ -243,7 +256,8 @@ class EventDetector:
         postures and gestures by ``body``, and being on the ground by ``person``. Hips are None
         where they are not seen; the box is of what is seen of the person. The posture is the
         track's, None if it is unclear; ``rests`` says whether the person is in a zone for resting,
-        where lying is no event.
+        where lying is no event; ``alone`` whether no other person's box meets this one, which may
+        then be of the part that the other leaves in view.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
         step = reliability.body * elapsed
@@ -264,18 +278,22 @@ class EventDetector:
         on_the_ground = 0.0 if rests else share(*ON_THE_GROUND)
         self._down.update(timestamp, on_the_ground, reliability.person * elapsed)
         self._rests = rests
+        self._clear.update(timestamp, 0.0 if posture is None else 1.0, elapsed)
+        if self._clear.holds:
+            self._clear_at = timestamp
         if box is not None:
             self._sink.update(timestamp, box)
         fell = self._fell(timestamp, elapsed)
         level = self._down.level if fell else _SEEN_BY_BOX
-        fell |= self._stays_low(elapsed, posture)
+        fell |= self._was_clear(timestamp) and self._stays_low(elapsed, posture, alone)
         return (*events, *happened("fell", "instant" if fell else None, level))
 
     def lost(
         self, track_id: int, timestamp: float, frame_shape: tuple[int, ...]
     ) -> tuple[Event, ...]:
         """The fall of a person who sank and is not seen any more, if they did."""
-        if self._fallen or self._rests or not self._sink.was_lost(frame_shape):
+        ignored = self._fallen or self._rests or not self._was_clear(timestamp)
+        if ignored or not self._sink.was_lost(frame_shape):
             return ()
         self._fallen = True
         return (Event("fell", track_id, "instant", timestamp, _SEEN_BY_BOX),)
@@ -298,6 +316,10 @@ class EventDetector:
             if level >= _ENDS_BELOW
         )
 
+    def _was_clear(self, timestamp: float) -> bool:
+        """Whether the posture was clear a short time ago."""
+        return timestamp - self._clear_at <= _CLEAR_BEFORE_S
+
     def _may_have_fallen(self) -> bool:
         dropped_at = self._drop.dropped_at
         if self._fallen or self._last_at is None or dropped_at is None:
@@ -315,15 +337,15 @@ class EventDetector:
         if self._down_s == 0.0 and timestamp - drop.dropped_at > _DOWN_WITHIN_S:
             return False
         self._down_s += elapsed
-        if self._fallen or self._down_s < STAYS_DOWN_S:
+        if self._fallen or self._down_s < STAYS_DOWN_S or not self._was_clear(timestamp):
             return False
         self._fallen = True
         return True
 
-    def _stays_low(self, elapsed: float, posture: PostureName | None) -> bool:
+    def _stays_low(self, elapsed: float, posture: PostureName | None, alone: bool) -> bool:
         """Whether the box has sunk and stays low in no posture that explains it; true only once."""
         unclear = posture is None or (posture == "sitting" and self._sink.is_below_seats)
-        if self._sink.sunk_at is None or not unclear or self._rests:
+        if self._sink.sunk_at is None or not unclear or not alone or self._rests:
             self._low_s = 0.0
             return False
         self._low_s += elapsed

@@ -144,12 +144,17 @@ class Track:
         return self._moment("entered", track_id, timestamp)
 
     def update(
-        self, person: Person, timestamp: float, zones: Sequence[Zone] = ()
+        self,
+        person: Person,
+        timestamp: float,
+        zones: Sequence[Zone] = (),
+        *,
+        alone: bool = True,
     ) -> tuple[TrackedPerson, list[Event]]:
         """Add the poses of a frame; without any, the last one is kept and moved with the person.
 
-        The person is as estimated from this frame alone. What begins, ends or happens with it is
-        returned as well.
+        The person is as estimated from this frame alone; ``alone`` is whether no other person's box
+        meets theirs. What begins, ends or happens with it is returned as well.
         """
         track_id = self._known_id()
         smoothed = self._smoother.update(person, timestamp)
@@ -172,6 +177,7 @@ class Track:
             self.box_filter.seen,
             posture=self._known_posture(),
             rests=is_rest(self._zone_watch.zones),
+            alone=alone,
         )
         tracked = self._tracked(person, smoothed.pose)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
@@ -205,14 +211,16 @@ class Track:
         """The events of a person who is not seen any more, and whether the track goes on.
 
         It does where the person fell, and the picture still shows the same at their place. A person
-        who is lost while falling lies there by now, unless another tracked person is seen there,
-        who may be the same: ``alone`` says that none is.
+        does not fall by being lost where another tracked person is seen, who may be the same or
+        hide them: ``alone`` says that none is.
         """
         if self.track_id is None:
             return [], False
-        fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
-        events = [*map(self._annotated, fell)]
-        if events and alone:
+        events: list[Event] = []
+        if alone:
+            fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
+            events += map(self._annotated, fell)
+        if events:
             self._rests_from = timestamp + _COMES_TO_REST_S
         if timestamp <= self._rests_from:
             self._patch = Patch.of(frame, self.box_filter.seen)

@@ -52,6 +52,7 @@ def watch(
                 shares,
                 Reliability(confidence, confidence),
                 hips_at(hips_m.get(posture, 0.95)),
+                posture=posture,
                 rests=rests,
             )
             frame += 1
@@ -176,7 +177,9 @@ def test_fall_out_of_bed_is_a_fall_although_the_person_was_lying_before() -> Non
     lying = vote_posture(["lying"], [1.0])
     for frame in range(60):
         height_m = 0.6 if frame < 30 else max(0.1, 0.6 - 0.1 * (frame - 30))
-        events += detector.update(7, frame / FPS, lying, Reliability(1.0, 1.0), hips_at(height_m))
+        events += detector.update(
+            7, frame / FPS, lying, Reliability(1.0, 1.0), hips_at(height_m), posture="lying"
+        )
     assert names(events) == [("lying", "begin"), ("fell", "instant")]
     assert 3 < events[1].timestamp < 5
 
@@ -226,15 +229,31 @@ STANDS, SAT, DOWN = Box(300, 200, 60, 200), Box(300, 290, 70, 110), Box(280, 340
 
 
 def follow(
-    boxes: Iterable[tuple[Box, float]], posture: PostureName | None = None, *, rests: bool = False
+    boxes: Iterable[tuple[Box, float]],
+    posture: PostureName | None = None,
+    *,
+    rests: bool = False,
+    alone: bool = True,
+    begins_clear: bool = True,
 ) -> tuple[list[Event], list[Event]]:
-    """Events while a person's box moves, and as they are lost; hips are not seen."""
+    """Events while a person's box moves, and as they are lost; hips are not seen.
+
+    The posture is that after the first box, whose person stands.
+    """
     detector, events, frame = EventDetector(), [], 0
     shares = vote_posture(["bending", "sitting", "lying"], [0.4, 0.3, 0.3])
-    for box, seconds in boxes:
+    for number, (box, seconds) in enumerate(boxes):
         for _ in range(round(seconds * FPS)):
             events += detector.update(
-                7, frame / FPS, shares, Reliability(1, 1), None, box, posture=posture, rests=rests
+                7,
+                frame / FPS,
+                shares,
+                Reliability(1, 1),
+                None,
+                box,
+                posture=posture if number or not begins_clear else "standing",
+                rests=rests,
+                alone=alone,
             )
             frame += 1
     return events, [*detector.lost(7, frame / FPS, FRAME)]
@@ -257,6 +276,8 @@ def test_a_fall_with_an_unclear_posture_is_seen_by_the_box_once() -> None:
             (STANDS, 2),
             *((Box(300, 200 + 14 * n, 80, 200 - 13 * n), 1) for n in range(10)),
         ],  # Slowly.
+        [(STANDS, 2), (Box(300, 290, 60, 200), 6)],  # Nearer to a high camera.
+        [(STANDS, 2), *((Box(280 + 20 * n, 340, 80, 90), 0.2) for n in range(30))],  # Walks on.
     ],
 )
 def test_other_boxes_are_no_fall(boxes: list[tuple[Box, float]]) -> None:
@@ -266,6 +287,16 @@ def test_other_boxes_are_no_fall(boxes: list[tuple[Box, float]]) -> None:
 def test_a_clear_posture_says_more_than_the_box() -> None:
     assert follow([(STANDS, 2), (DOWN, 6)], "bending")[0] == []
     assert follow([(STANDS, 2), (DOWN, 6)], rests=True) == ([], [])
+
+
+def test_a_box_beside_others_may_be_a_part_of_somebody() -> None:
+    assert follow([(STANDS, 2), (DOWN, 6)], alone=False)[0] == []
+
+
+def test_nobody_fell_whose_posture_was_never_clear() -> None:
+    fall = [(STANDS, 2.0), (SAT, 0.2), (DOWN, 6.0)]
+    assert follow(fall, begins_clear=False) == ([], [])
+    assert names(follow(fall)[0]) == [("fell", "instant")]
 
 
 def test_nobody_sits_lower_than_a_seat() -> None:
