@@ -9,6 +9,9 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A broken image is answered with a 400; OpenCV's own messages would fill the log.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+# A second line of defence behind the size check of `app.vision.images`, for images whose decoder
+# disagrees with their header.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
 
 try:
     VERSION = version("silhouette-pose")

@@ -28,6 +28,7 @@ from app.scheduling.process import configure_process, trim_heap
 from app.serving.loading import become_ready, keep_index_loaded, read_cameras
 from app.serving.runtime import Runtime
 from app.settings import Settings, read_settings
+from app.vision.images import configure_pillow
 from index.store import PoseIndex
 
 # Compressing a smaller answer saves less than a packet.
@@ -97,6 +98,7 @@ def create_app(
     @asynccontextmanager
     async def lifespan(app: FastAPI) -> AsyncIterator[None]:
         configure_process()
+        configure_pillow()
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(keep_index_loaded, runtime, read_index)

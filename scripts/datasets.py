@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, Boxes
-from app.vision.images import decode_image, decode_mask
+from app.vision.images import decode_image
+from app.vision.masks import decode_mask
 from index.skeleton import LIMBS
 from scripts.results import ROOT
 

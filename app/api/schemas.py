@@ -76,8 +76,9 @@ class FrameUpload(Model):
     mask: bytes | None = Field(
         default=None,
         description="Where the people are: an image of the frame's size, 0 background, "
-        "k = person k; a two-valued mask is one person. PNG keeps the labels; a JPEG has to be "
-        "black and white. Without a frame, poses are estimated from the silhouettes alone.",
+        "k = person k; one with two values, or with soft edges, is one person. PNG keeps the "
+        "labels; a JPEG has to be black and white. Without a frame, poses are estimated from the "
+        "silhouettes alone.",
     )
     background: bytes | None = Field(
         default=None,

@@ -17,12 +17,11 @@ from app.vision.images import (
     ImageError,
     ImageTooLargeError,
     ImageWarning,
-    LabelImage,
     Photograph,
     blank_image,
     decode_image,
-    decode_mask,
 )
+from app.vision.masks import LabelImage, decode_mask
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
 from app.vision.rectification import Rectification
 

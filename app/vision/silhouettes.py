@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
-from app.vision.images import LabelImage
+from app.vision.masks import LabelImage, fill_small_holes, keep_components
 from app.vision.people import (
     LANDMARK_NAMES,
     Landmarks,
@@ -167,39 +167,6 @@ def _probability(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     assert reading.probability is not None
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
-
-
-def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Fill holes of a mask ``(H, W)`` of up to ``share`` of its area.
-
-    Larger ones stay: the gap between arm and trunk shows the pose.
-    """
-    limit = share * np.count_nonzero(mask)
-    # A ring of background makes the outside one component, number `labels[0, 0]`.
-    background = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
-    small = stats[:, cv2.CC_STAT_AREA] <= limit
-    small[0] = False  # The mask itself.
-    small[labels[0, 0]] = False
-    if count <= 2 or not small.any():
-        return mask
-    return mask | small[labels[1:-1, 1:-1]]
-
-
-def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
-
-    A lamp post may separate a leg from the body, so a person may consist of several components.
-    """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
-    if count <= 2:
-        return mask
-    areas = stats[:, cv2.CC_STAT_AREA].copy()
-    areas[0] = 0
-    keep = areas >= share * areas.max()
-    keep[0] = False
-    keep[areas.argmax()] = True
-    return keep[labels]
 
 
 def with_truncation(

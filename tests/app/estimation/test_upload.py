@@ -60,7 +60,7 @@ def test_contradicting_fields_are_refused(fields: dict[str, Any], field: str, sa
         ({"frame": png(frame()), "boxes": [Box(9, 9, 9, 0.004)]}, "boxes", "misfit"),
         ({"frame": png(frame()), "boxes": [Box(159.495, 9, 9, 9)]}, "boxes", "misfit"),
         ({"mask": mask_of(*TALL)}, "mask", "misfit"),
-        ({"mask": mask_of(*TALL, np.s_[0:9, 0:9], labels=True)}, "mask", "misfit"),
+        ({"mask": mask_of(*TALL, np.s_[0:13, 0:9], labels=True)}, "mask", "misfit"),
     ],
 )
 def test_unusable_images_and_boxes_are_refused(

@@ -28,6 +28,32 @@ def png(rows: list[bytes], width: int, depth: int, colour: int, *chunks: tuple[b
     )  # fmt: skip
 
 
+def tiff(
+    data: bytes, width: int, height: int, *, bits: int = 8, samples: int = 1, rows: int = 0
+) -> bytes:
+    """A TIFF of grey, RGB or CMYK in strips, which come last and may be missing."""
+    rows = rows or height
+    size, strips = rows * width * samples * bits // 8, -(-height // rows)
+    photometric = {1: 1, 3: 2, 4: 5}[samples]
+    tags: dict[int, list[int]] = {
+        256: [width], 257: [height], 258: [bits] * samples, 259: [1], 262: [photometric],
+        273: [], 277: [samples], 278: [rows], 279: [size] * strips,
+    }  # fmt: skip
+    begin = 8 + 2 + 12 * len(tags) + 4 + 4 * (2 * strips + samples)
+    tags[273] = [begin + size * strip for strip in range(strips)]
+    entries, more = b"", b""
+    for tag, values in tags.items():
+        packed = struct.pack(f"<{len(values)}I", *values)
+        if len(values) > 1:
+            more, packed = (
+                more + packed,
+                struct.pack("<I", begin - 4 * (2 * strips + samples) + len(more)),
+            )
+        entries += struct.pack("<HHI", tag, 4, len(values)) + packed
+    head = b"II*\0\x08\0\0\0" + struct.pack("<H", len(tags)) + entries + bytes(4)
+    return (head + more).ljust(begin, b"\0") + data
+
+
 def with_orientation(jpeg: bytes, orientation: int) -> bytes:
     tiff = b"II*\0\x08\0\0\0\x01\0" + struct.pack("<HHIHHI", 0x112, 3, 1, orientation, 0, 0)
     body = b"Exif\0\0" + tiff

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from app.estimation.finder import first_of_body
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, transform_points
-from app.vision.images import LabelImage
+from app.vision.masks import LabelImage
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.silhouettes import (
     end_beyond_border,
-    fill_small_holes,
     hidden_by_others,
-    keep_components,
     silhouettes_from_labels,
     silhouettes_of,
     touches_border,
@@ -207,27 +205,6 @@ def test_labels_become_silhouettes_from_left_to_right() -> None:
         assert one.segmenter == "mask"
         assert (one.mask(labels.shape) == (labels == label)).all()
     assert silhouettes_from_labels(LabelImage.of(labels * 0)) == []
-
-
-def test_small_holes_are_filled_and_large_ones_kept() -> None:
-    mask = np.ones((40, 40), bool)
-    mask[5, 5] = False
-    mask[10:30, 10:30] = False
-    filled = fill_small_holes(mask, 0.02)
-    assert filled[5, 5] and not filled[20, 20]
-    assert fill_small_holes(mask, 1.0).all()
-    assert (fill_small_holes(mask, 0) == mask).all()
-
-
-def test_small_components_are_dropped() -> None:
-    mask = np.zeros((30, 30), bool)
-    mask[2:20, 2:10] = True
-    mask[25:27, 25:27] = True
-    mask[2:20, 15:20] = True
-    kept = keep_components(mask, 0.2)
-    assert not kept[25, 25] and kept[3, 16]
-    assert np.count_nonzero(keep_components(mask, 1)) == 18 * 8
-    assert not keep_components(mask & False, 0.2).any()
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:

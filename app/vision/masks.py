@@ -1,0 +1,316 @@
+"""Masks: a caller's labels of bodies, or an error that says what they are instead."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from app.vision.geometry import Box
+from app.vision.images import (
+    ImageError,
+    bits_of,
+    checked_header,
+    decode_pixels,
+    is_lossy,
+    read_stored,
+    turn_of,
+)
+
+Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+
+@dataclass(frozen=True)
+class LabelImage:
+    """Where people are: 0 is background, k is person k.
+
+    Parameters
+    ----------
+    labels : (H, W) array of uint8 or uint16
+    present : list of int
+        The labels it holds, ascending, without 0.
+    left, top : int
+        First column and row of the part.
+    part : (h, w) array
+        The smallest part that holds all labels, since most of a mask is background.
+    """
+
+    labels: Labels
+    present: list[int]
+    left: int
+    top: int
+    part: Labels
+
+    @classmethod
+    def of(cls, labels: Labels) -> LabelImage:
+        """Find the labels of an array ``(H, W)``."""
+        if labels.ndim != 2:
+            raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
+        # `boundingRect` takes 8 bits only.
+        marked = labels if labels.dtype == np.uint8 else np.asarray(labels != 0).view(np.uint8)
+        left, top, width, height = cv2.boundingRect(marked)
+        part = labels[top : top + height, left : left + width].copy()
+        present = (np.flatnonzero(_counts(part)[1:]) + 1).tolist()
+        return cls(labels, present, left, top, part)
+
+    @cached_property
+    def boxes(self) -> list[Box]:
+        """The tight box of each label."""
+        found = []
+        for label in self.present:
+            left, top, width, height = cv2.boundingRect(cv2.inRange(self.part, label, label))
+            found.append(Box(self.left + left - 0.5, self.top + top - 0.5, width, height))
+        return found
+
+    def merged(self) -> LabelImage:
+        """The same image with all labels merged into one person, label 1."""
+        labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
+        return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
+
+
+def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
+    """Decode a label image: 0 is background, k is person k.
+
+    Grey images and PNG images with a palette keep their stored values, whatever their bit depth: of
+    a palette, the indices are used, not the colours. An image with only two values, 0 and one
+    other, marks one person (label 1). So does one whose edges are soft, and a lossy image (JPEG,
+    WebP), since compression destroys labels; there, half of the largest value and more mark the
+    person. Three channels are accepted if they are equal. Transparent pixels mark nobody; if all
+    others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
+    What is smaller than a figure, a stray pixel for example, is dropped.
+
+    Raises
+    ------
+    ImageTooLargeError, ImageError
+        As for :func:`app.vision.images.decode_image`, or if the image is coloured, or its values
+        are no labels of bodies: shades, more than 100 labels, scattered ones, background that is
+        not 0, or figures of a few pixels.
+    """
+    header = checked_header(data, max_pixels)
+    with turn_of(header.width * header.height):
+        lossy = is_lossy(header, data)
+        image = LabelImage.of(_values(data, header, lossy))
+        if image.present and (lossy or _has_soft_edges(image)):
+            image = LabelImage.of(_thresholded(image, lossy))
+        _check_scatter(image)
+        return _of_figures(image)
+
+
+_LOSSY_CHANNEL_DIFFERENCE = 16  # Channels of a lossy grey image differ by up to this.
+
+
+def _values(data: bytes, header: Image.Image, lossy: bool) -> Labels:
+    """The values of a mask, or its alpha channel if everything visible has one colour."""
+    rgba = read_stored(data, "RGBA") if header.has_transparency_data else None
+    if rgba is not None:
+        visible = rgba[..., 3] > 0
+        colours = rgba[visible][:, :3]
+        if colours.size and not visible.all() and (colours == colours[0]).all():
+            return np.ascontiguousarray(rgba[..., 3])
+    if header.format == "PNG" and header.mode == "P":
+        return read_stored(data)
+    pixels = decode_pixels(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+    if rgba is not None:
+        pixels[~visible] = 0
+    values = _one_channel(pixels, _LOSSY_CHANNEL_DIFFERENCE if lossy else 0)
+    if header.mode == "L":
+        # 2 and 4 bits are stretched to 0..255.
+        values = values // {2: 85, 4: 17}.get(bits_of(header, data), 1)
+    return values
+
+
+def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:
+    """Values ``(H, W)`` of an image of one channel, or of three that differ by no more."""
+    if pixels.ndim == 2:
+        return pixels
+    first, *others = (pixels[..., channel] for channel in range(pixels.shape[2]))
+    if any(cv2.absdiff(first, other).max() > max_difference for other in others):
+        raise ImageError("expected a mask of one channel or of equal ones, got a coloured one")
+    return np.ascontiguousarray(first)
+
+
+_MAX_LABELS = 100  # With more values, an image is a mask with soft edges, not a crowd.
+_MIN_WIDTH_PX = 3.0  # Of a body: narrower labels are edges, or slivers of people behind others.
+_MIN_INNER_SHARE = 0.2  # Outline of an edge towards higher labels, relative to that towards lower.
+_MAX_EXPOSED_SHARE = 0.1  # Of a label's outline that lies at the background if others surround it.
+
+
+def _has_soft_edges(image: LabelImage) -> bool:
+    """Whether most labels of an image are the shades of edges; an error if bodies have several.
+
+    Shades are thin and have something higher on one side, or one surrounds the other.
+    """
+    present, part = image.present, image.part
+    if len(present) > _MAX_LABELS:
+        return True
+    if len(present) < 2:
+        return False
+    lower, higher, exposed = (counts[present] for counts in _outlines(part))
+    outlines = np.maximum(lower + higher, 1)
+    widths = 2 * _counts(part)[present] / outlines
+    thin = widths < _MIN_WIDTH_PX
+    edges = thin & (higher >= _MIN_INNER_SHARE * lower)
+    bodies = np.array(present)[~thin]
+    (outer,) = np.nonzero(exposed >= _MAX_EXPOSED_SHARE * outlines)
+    if len(outer) == 1 and widths[outer[0]] < widths.max():
+        bodies = np.array(present[-2:] if outer[0] else present[-1:])
+    elif np.count_nonzero(edges) < max(1, len(bodies)):
+        return False
+    if (bodies < _CERTAIN_SHARE * present[-1]).any():
+        raise ImageError(_SOFT_EDGES.format(len(present)))
+    return True
+
+
+def _outlines(part: Labels) -> NDArray[np.float64]:
+    """Length of each label's outline towards lower labels, higher ones, and 0: ``(3, labels)``."""
+    outlines, padded = np.zeros((3, int(part.max()) + 1)), np.pad(part, 1)
+    for first, second in ((padded[:, 1:], padded[:, :-1]), (padded[1:], padded[:-1])):
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        differ = np.asarray(low != high).view(np.uint8)
+        exposed = differ & np.asarray(low == 0).view(np.uint8)
+        for row, (labels, where) in enumerate(((high, differ), (low, differ), (high, exposed))):
+            outlines[row] += _counts(labels, outlines.shape[1], where)
+    return outlines
+
+
+def _counts(
+    labels: Labels, bins: int | None = None, where: NDArray[np.uint8] | None = None
+) -> NDArray[Any]:
+    """How often each value occurs in an array ``(h, w)``."""
+    if labels.size == 0:
+        return np.zeros(bins or 1, np.float32)
+    # calcHist is several times as fast as np.unique or np.bincount.
+    bins = bins or int(labels.max()) + 1
+    return cv2.calcHist([labels], [0], where, [bins], [0, bins])[:, 0]
+
+
+# Shades between black and white: lossy compression and resizing move both by less, except at edges.
+# Pixels of other shades may be this share of those of the person.
+_CERTAIN_SHARE = 0.81
+_MAX_BETWEEN = 0.75
+
+_SOFT_EDGES = (
+    f"expected a mask of at most {_MAX_LABELS} labels that mark bodies, got {{}} values: a mask "
+    "with soft edges must be thresholded first"
+)
+
+
+def _thresholded(image: LabelImage, lossy: bool) -> NDArray[np.uint8]:
+    """The person ``(H, W)`` of a mask with shades; an error if its values look like labels."""
+    values, peak = image.labels, 255 if lossy else image.present[-1]
+    marked = np.asarray(values > (peak - 1) // 2).view(np.uint8)
+    certain = round(_CERTAIN_SHARE * peak)
+    between = np.count_nonzero((values > peak - certain) & (values < certain))
+    count = np.count_nonzero(marked)  # None, if labels are small numbers.
+    if count and between <= _MAX_BETWEEN * count:
+        return marked
+    if lossy:
+        raise ImageError(
+            "expected a mask of black and white, since lossy compression (JPEG, WebP) keeps no "
+            "labels, got one of other values; send labels as PNG"
+        )
+    raise ImageError(_SOFT_EDGES.format(len(image.present)))
+
+
+# Most pairs of neighbouring pixels with different labels: this number and, above the last one,
+# also this share of the pixels. Fifty people who fill a frame of 12 megapixels have 400,000, a
+# thirtieth of the pixels; noise has two for each pixel.
+_MAX_LABEL_CHANGES = 1_000_000
+_MAX_LABEL_CHANGE_SHARE = 0.5
+_FEW_LABEL_CHANGES = 10_000
+
+
+def _check_scatter(image: LabelImage) -> None:
+    part = image.part
+    changes = sum(
+        np.count_nonzero(first != second)
+        for first, second in ((part[:, 1:], part[:, :-1]), (part[1:], part[:-1]))
+    )
+    many = max(_FEW_LABEL_CHANGES, _MAX_LABEL_CHANGE_SHARE * part.size)
+    most = min(_MAX_LABEL_CHANGES, round(many))
+    if changes > most:
+        raise ImageError(
+            "expected a mask whose labels mark people, got scattered ones: "
+            f"{changes} neighbouring pixels differ, more than {most}"
+        )
+
+
+# Longer side of the smallest figure: below it, a third of the clear postures of rendered people
+# change. Parts of a label that are as small, and this small a share of its largest one, are specks.
+_MIN_FIGURE_PX = 12
+_SPECK_SHARE = 0.05
+_MAX_BORDER_SHARE = 0.75  # Of the frame's border that a person may cover.
+
+
+def _of_figures(image: LabelImage) -> LabelImage:
+    """The labels without specks; a single label becomes label 1."""
+    labels = image.labels
+    for label, box in zip(image.present, image.boxes, strict=True):
+        left, top, right, bottom = box.pixels()
+        marked = labels[top:bottom, left:right] == label
+        figure = _without_specks(marked)
+        if figure is not marked:
+            labels = labels.copy() if labels is image.labels else labels
+            labels[top:bottom, left:right][marked & ~figure] = 0
+    figures = image if labels is image.labels else LabelImage.of(labels)
+    if image.present and not figures.present:
+        raise ImageError(
+            f"expected a mask of figures at least {_MIN_FIGURE_PX} pixels high or wide, "
+            "got smaller ones"
+        )
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    covered = _counts(border[None])[1:]
+    if covered.size and covered.max() >= _MAX_BORDER_SHARE * border.size:
+        raise ImageError(
+            f"expected a mask whose background is 0, got label {covered.argmax() + 1} along "
+            "the frame's border: the mask may be inverted"
+        )
+    return figures.merged() if len(figures.present) == 1 and figures.present != [1] else figures
+
+
+def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The parts of a mask that are a figure or belong to one; none if all are too small."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8))
+    parts = stats[1:]
+    is_large = parts[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) >= _MIN_FIGURE_PX
+    areas = parts[:, cv2.CC_STAT_AREA]
+    keep = is_large | ((areas >= _SPECK_SHARE * areas.max()) & is_large.any())
+    return mask if keep.all() else np.append(False, keep)[labels]
+
+
+def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
+
+    A lamp post may separate a leg from the body, so a person may consist of several components.
+    """
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
+    if count <= 2:
+        return mask
+    areas = stats[:, cv2.CC_STAT_AREA].copy()
+    areas[0] = 0
+    keep = areas >= share * areas.max()
+    keep[0] = False
+    keep[areas.argmax()] = True
+    return keep[labels]
+
+
+def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
+    """Fill holes of a mask ``(H, W)`` of up to ``share`` of its area.
+
+    Larger ones stay: the gap between arm and trunk shows the pose.
+    """
+    limit = share * np.count_nonzero(mask)
+    # A ring of background makes the outside one component, number `labels[0, 0]`.
+    background = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
+    small = stats[:, cv2.CC_STAT_AREA] <= limit
+    small[0] = False  # The mask itself.
+    small[labels[0, 0]] = False
+    if count <= 2 or not small.any():
+        return mask
+    return mask | small[labels[1:-1, 1:-1]]
