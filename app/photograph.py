@@ -25,7 +25,8 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
-from index.matching import match
+from index.landmark_matching import match_landmarks
+from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
 
@@ -141,14 +142,13 @@ def fit_poses(
     if normalised is None:
         return person
     landmarks = normalised.normalised_landmarks()
-    found = match(
-        index,
-        normalised.silhouette,
-        n,
-        landmarks,
-        roll_deg=normalised.roll_deg,
-        whole=normalised.whole,
-    )
+    silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
+    if landmarks is None:
+        found = match_silhouette(index, silhouette, n, roll_deg=roll_deg)
+    else:
+        found = match_landmarks(
+            index, silhouette, n, landmarks, roll_deg=roll_deg, whole=normalised.whole
+        )
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses
     presence = 1.0 if person.presence is None else person.presence

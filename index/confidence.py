@@ -29,7 +29,7 @@ FEATURES = (
     "log_agreement_5px_far",
     "log_agreement_10px_far",
 )
-"""Features of a hypothesis, computed by :mod:`index.matching`:
+"""Features of a hypothesis, computed by :mod:`index.silhouette_matching`:
 
 - logarithm of its descriptor distance, and the same relative to the smallest of all hypotheses;
 - logarithm of its votes, the weighted share of candidates in its mode, and the same relative to the

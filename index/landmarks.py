@@ -11,7 +11,7 @@ landmarks; the others move only where they nearly agree, so that they remain alt
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,8 @@ OUTLIER_WEIGHT = 0.05
 
 # Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow.
 _MIN_MASS = 1e-6
-# Factors by which a body may differ in size from its landmarks.
-_SIZE_RANGE = (0.8, 1.25)
+SIZE_RANGE = (0.8, 1.25)
+"""Factors by which a body may differ in size from its landmarks."""
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,7 @@ class NormalisedLandmarks:
     scores: NDArray[np.float64]
     limbs_3d: NDArray[np.float64]
     limb_scores: NDArray[np.float64]
-    limb_covariance: NDArray[np.float64] = field(
-        default_factory=lambda: _SIGMA_M**2 * np.eye(len(LIMBS))
-    )
+    limb_covariance: NDArray[np.float64]
     sigma_px: float = _SIGMA_PX
 
     def __post_init__(self) -> None:
@@ -138,7 +136,7 @@ class NormalisedLandmarks:
         weighted = self.limb_scores[:, None] * self.limbs_3d
         inner = limbs.reshape(*limbs.shape[:-2], -1) @ weighted.ravel()
         size = inner / max(float((weighted * self.limbs_3d).sum()), 1e-9)
-        return np.clip(size, *_SIZE_RANGE)[..., None, None] * self.limbs_3d - limbs
+        return np.clip(size, *SIZE_RANGE)[..., None, None] * self.limbs_3d - limbs
 
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Likelihoods ``(..., P)`` of landmarks at offsets ``(..., P, 2)`` if not outliers."""

@@ -38,9 +38,9 @@ BANDWIDTH_M = 0.08
 
 # Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
 _SUPPRESSION = 1.5
-# Fall-off of the candidates' weights with distance; see :func:`candidate_weights`. Landmarks
-# distinguish near candidates better than descriptors do.
-_FALL_OFF, _FALL_OFF_WITH_LANDMARKS = 0.3, 0.6
+# Fall-off of the candidates' weights with distance if landmarks, which distinguish near candidates
+# better than descriptors do, are their other factor; see :func:`candidate_weights`.
+_FALL_OFF_WITH_LANDMARKS = 0.6
 # Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
 # otherwise an entry that equals the query would outweigh all others.
 _MIN_NEAREST_SHARE = 0.02
@@ -107,10 +107,10 @@ class Modes:
 
 def find_modes(
     candidates: Candidates,
+    weights: NDArray[np.float64],
     count: int,
     *,
-    agreement: Agreement | None = None,
-    support: NDArray[np.float64] | None = None,
+    residuals: Sequence[NDArray[np.float64]] = (),
     fit: Callable[[Modes], Modes] = lambda modes: modes,
     bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
@@ -118,11 +118,11 @@ def find_modes(
 
     Parameters
     ----------
-    agreement : Agreement, optional
-        How the candidates agree with landmarks; it weights the candidates and pulls modes towards
-        the landmarks.
-    support : (K,) array, optional
-        Factors of the candidates' weights.
+    weights : (K,) array
+        Weights of the candidates in the density.
+    residuals : sequence of (K, P, 2) arrays
+        Pixels from points of the candidates to where evidence besides the descriptor shows them;
+        modes are interpolated to where these vanish, too.
     fit : callable, optional
         Moves interpolated modes towards other evidence; modes that then coincide are kept once.
     bandwidth_m : float
@@ -133,13 +133,8 @@ def find_modes(
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    weights = mode_weights(candidates.distances, agreement)
-    offsets = candidates.offsets.astype(np.float64)
-    if support is not None:
-        weights = weights * support
-    if agreement is not None:
-        residuals = _RESIDUAL_WEIGHT * agreement.residuals.reshape(len(candidates), -1)
-        offsets = np.concatenate([offsets, -residuals], axis=1)
+    lacking = [-_RESIDUAL_WEIGHT * one.reshape(len(candidates), -1) for one in residuals]
+    offsets = np.concatenate([candidates.offsets.astype(np.float64), *lacking], axis=1)
     apart = _joint_distances(candidates.points_3d[:, :JOINTS])
     densest = _densest(weights, apart, bandwidth_m)
     modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
@@ -206,7 +201,7 @@ def depth_modes(
     precision = np.linalg.inv(errors + _ENTRY_DEPTH_SD_M**2 * limbs)
     gain = errors @ precision
     means = apart @ gain.T
-    log_weights = np.log(mode_weights(candidates.distances, agreement) + 1e-300)
+    log_weights = np.log(likely_weights(candidates.distances, agreement) + 1e-300)
     log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
     shares = np.exp(log_shares - log_shares.max())
     shares /= shares.sum()
@@ -285,17 +280,13 @@ def _densest(
         penalty[apart[centre] < DISTINCT_M] = -np.inf
 
 
-def mode_weights(
-    distances: NDArray[np.float64], agreement: Agreement | None
-) -> NDArray[np.float64]:
-    """Weights ``(K,)`` in the density of candidates at ascending distances ``(K,)``."""
-    if agreement is None:
-        return candidate_weights(distances, _FALL_OFF)
+def likely_weights(distances: NDArray[np.float64], agreement: Agreement) -> NDArray[np.float64]:
+    """Weights ``(K,)`` of candidates at ascending distances ``(K,)`` that agree with landmarks."""
     weights = candidate_weights(distances, _FALL_OFF_WITH_LANDMARKS)
     return weights * agreement.weights(_LIKELIHOOD_EXPONENT)
 
 
-def candidate_weights(distances: NDArray[np.float64], fall_off: float) -> NDArray[np.float64]:
+def candidate_weights(distances: NDArray[np.float64], fall_off: float = 0.3) -> NDArray[np.float64]:
     """Weights ``(K,)`` of candidates at ascending distances ``(K,)``: 1 for the nearest.
 
     A candidate farther than the nearest by twice ``fall_off`` times the nearest's distance weighs

@@ -1,16 +1,19 @@
-"""The order of hypotheses by a network that predicts joints from the silhouette.
+"""The order of the hypotheses of a silhouette, and their confidence.
 
-The network itself is in :mod:`index.network`, its file in :mod:`index.artefact`.
+An index orders them by their distances alone, or with a network that predicts joints from the
+silhouette. The network itself is in :mod:`index.network`, its file in :mod:`index.artefact`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates
+from index.confidence import Calibration
 from index.modes import Modes
 from index.network import Distributions, RankingModel, joint_positions
 from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
@@ -23,8 +26,39 @@ _SHARE_POWER = 4.0
 
 
 @dataclass(frozen=True)
-class NetworkRanking:
-    """Ranks the poses of one silhouette by the network's predictions of its joints."""
+class DistanceRanking:
+    """Ranks the poses of one silhouette by their distances alone."""
+
+    candidates: ClassVar[int] = 160
+    """Number of nearest entries that are usually candidates; more add few useful modes."""
+
+    calibration: Calibration
+
+    def support(self, candidates: Candidates) -> NDArray[np.float64]:
+        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest."""
+        return np.ones(len(candidates))
+
+    def fit(self, modes: Modes) -> Modes:
+        """Move modes towards what else is known of the joints."""
+        return modes
+
+    def order(self, modes: Modes, n: int) -> tuple[Modes, NDArray[np.float64]]:
+        """The ``n`` nearest modes, or more, and their distances ``(M,)``, ascending."""
+        nearest = modes.nearest()
+        return nearest, nearest.distances
+
+    def features(
+        self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Features ``(M, F)`` of modes for the calibration, from plain ones ``(M, 11)``."""
+        return plain
+
+
+@dataclass(frozen=True)
+class NetworkRanking(DistanceRanking):
+    """Ranks the poses of one silhouette by the network's predictions of its joints as well."""
+
+    candidates: ClassVar[int] = 200  # The network ranks a few more usefully.
 
     model: RankingModel
     joints: Distributions
@@ -32,7 +66,7 @@ class NetworkRanking:
     @classmethod
     def of(cls, model: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
         """Run the network on a silhouette ``(128, 48)``."""
-        return cls(model, model.network.distributions(silhouette))
+        return cls(model.calibration, model, model.network.distributions(silhouette))
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
         """Mean log probability ``(N,)`` of the joints of candidates or modes."""
@@ -59,29 +93,27 @@ class NetworkRanking:
         placed += moves[:, _PELVIS, None, :2]
         return replace(modes, points_3d=moved, points_normalised=placed)
 
-    def support(self, candidates: Candidates) -> NDArray[np.float64] | None:
-        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest; None if all are 1."""
-        if self.model.support_weight == 0:
-            return None
+    def support(self, candidates: Candidates) -> NDArray[np.float64]:
+        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest."""
         likelihood = self.log_likelihood(candidates)
         return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 
-    def distances(self, modes: Modes) -> NDArray[np.float64]:
-        """Descriptor distances ``(M,)``, increased more the less likely the joints are.
+    def order(self, modes: Modes, n: int) -> tuple[Modes, NDArray[np.float64]]:
+        """The ``n`` nearest modes and their distances ``(M,)``, ascending.
 
-        The likeliest mode keeps its distance.
+        Distances of descriptors are increased more the less likely the joints are; the likeliest
+        mode keeps its distance.
         """
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
-        return modes.distances * np.exp(self.model.order_weight * lacking)
+        distances = modes.distances * np.exp(self.model.order_weight * lacking)
+        nearest = np.argsort(distances, kind="stable")[:n]
+        return modes.take(nearest), distances[nearest]
 
     def features(
         self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Compute :data:`index.confidence.RERANKING_FEATURES` ``(M, F)`` from plain ``(M, 11)``.
-
-        The distances are those of :meth:`distances`.
-        """
+        """:data:`index.confidence.RERANKING_FEATURES` ``(M, F)``, the plain ones first."""
         positions = joint_positions(modes.points_3d, modes.points_normalised)
         likelihood = self.joints.log_likelihood(positions)
         error = np.log(self.joints.expected_errors(positions))

@@ -157,10 +157,9 @@ class PoseIndex:
     def __len__(self) -> int:
         return len(self.entries)
 
-    def calibration(self, *, reranked: bool) -> Calibration:
-        """The confidence of hypotheses, re-ranked by the network or not."""
-        if reranked and self.reranker is not None:
-            return self.reranker.calibration
+    @property
+    def calibration(self) -> Calibration:
+        """The confidence of hypotheses that no network ranks."""
         return Calibration.restore(self.parameters["confidence"])
 
     def search(

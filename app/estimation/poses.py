@@ -20,7 +20,7 @@ from app.vision.geometry import transform_points
 from app.vision.optics import PinholeCamera, place_on_sight_lines, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg, rotate_silhouette
-from index.landmarks import NormalisedLandmarks
+from index.landmarks import SIZE_RANGE, NormalisedLandmarks
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
 
 # Points of the index and their landmarks. The eyes and ears of the index are in other places, so
@@ -142,8 +142,6 @@ _MIN_MOVING_VISIBILITY = 0.05
 # Standard deviation of a landmark's depth at which the first hypothesis moves half way to it: the
 # hypothesis has been fitted to the landmarks, so it adds little information.
 _HALF_WAY_SD_M = 0.24
-# Limits of the person's size relative to a hypothesis.
-_SIZES = (0.8, 1.25)
 # Least forward component of a joint's line of sight, and its least distance.
 _MIN_FORWARD, _MIN_DISTANCE_M = 0.05, 0.1
 
@@ -191,7 +189,7 @@ def place_skeletons(
     )
     like_first = (points_2d == points_2d[0]).all(axis=(1, 2))
     size[like_first] = size[0]
-    depths = np.clip(size, *_SIZES)[:, None] * about_hips[..., 2]
+    depths = np.clip(size, *SIZE_RANGE)[:, None] * about_hips[..., 2]
     reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / _HALF_WAY_SD_M) ** 2)
     moves = np.zeros_like(depths[0])
     moves[_SEEN_POINTS] = reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])

@@ -27,8 +27,8 @@ from app.serving.runtime import Runtime
 from app.settings import Settings, SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError, load_index
-from index.matching import match
 from index.search import UnavailableError
+from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
 _CAMERAS = TypeAdapter(
@@ -83,7 +83,7 @@ def load_estimator(
     with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
         models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
         index = read_index() if read_index else load_index(settings.index)
-    match(index, index.silhouette(0), 1)  # The first search is slow.
+    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
     return Estimator(
         index,
         models.result(),

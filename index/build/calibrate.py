@@ -15,8 +15,9 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.build.views import MAX_OWN_ROLL_DEG
 from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration
-from index.matching import DEFAULT_HYPOTHESES, match
+from index.matching import DEFAULT_HYPOTHESES
 from index.posture import POSTURES
+from index.silhouette_matching import match_silhouette
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
 
@@ -143,10 +144,10 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
     postures = np.full((len(queries), n), -1)
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=None):
-        found = match(index, queries.silhouettes[row], n, roll_deg=float(queries.roll_deg[row]))
-        hypotheses = found.hypotheses[:n]
-        features[row, : len(hypotheses)] = found.features[:n]
-        for rank, hypothesis in enumerate(hypotheses):
+        roll_deg = float(queries.roll_deg[row])
+        found = match_silhouette(index, queries.silhouettes[row], n, roll_deg=roll_deg)
+        for rank, hypothesis in enumerate(found.hypotheses[:n]):
+            features[row, rank] = hypothesis.features
             twin = exchange_sides(hypothesis.points_normalised)
             apart_2d = hypothesis.points_normalised[:JOINTS] - queries.joints_2d[row]
             apart_twin = twin[:JOINTS] - queries.joints_2d[row]

@@ -1,8 +1,8 @@
 """The experiments of Atrevi et al. (VISAPP 2016) on data simulated by the paper's recipe.
 
 Silhouettes are answered by the nearest entries, as in the paper, and as the service does
-(:mod:`index.matching`): the nearest entries and their mirror images are gathered into distinct
-poses, each interpolated to the query.
+(:mod:`index.silhouette_matching`): the nearest entries and their mirror images are gathered into
+distinct poses, each interpolated to the query.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from index.build.simulate import Simulation
 from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.confidence import Calibration
 from index.matching import SPARE_MODES
-from index.modes import Modes, find_modes
+from index.modes import Modes, candidate_weights, find_modes
 from index.skeleton import JOINTS, POINTS
 from scripts.experiments.outline_noise import disturb_all, outline_faults
 from scripts.experiments.paper_data import (
@@ -115,6 +115,7 @@ def first_poses(
 
 
 def ranked_modes(candidates: Candidates, count: int) -> Modes:
-    """Return distinct poses, best first, as :func:`index.matching.match` ranks them."""
-    found = find_modes(candidates, count + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
+    """Return distinct poses, best first, as an index without a network ranks them."""
+    weights = candidate_weights(candidates.distances)
+    found = find_modes(candidates, weights, count + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
     return found.nearest(count)

@@ -38,7 +38,8 @@ def landmarks_of(
     limbs = np.asarray(points_3d, np.float64)[LIMB_ROWS]
     limbs = limbs - limbs[LIMB_HIPS].mean(axis=0)
     positions = np.asarray(points, np.float64)[LIMB_ROWS]
-    return NormalisedLandmarks(tuple(LIMB_ROWS), positions, scores, limbs, scores)
+    covariance = 0.15**2 * np.eye(len(LIMB_ROWS))
+    return NormalisedLandmarks(tuple(LIMB_ROWS), positions, scores, limbs, scores, covariance)
 
 
 def joint_error(points: NDArray[np.floating], joints: NDArray[np.floating]) -> float:

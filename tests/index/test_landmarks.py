@@ -54,6 +54,7 @@ def shown(seed: int) -> NormalisedLandmarks:
         generator.uniform(0.2, 1, len(ROWS)),
         pose(seed)[LIMB_ROWS],
         generator.uniform(0.2, 1, len(LIMBS)),
+        0.15**2 * np.eye(len(LIMBS)),
     )
 
 

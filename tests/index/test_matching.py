@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis, match
+from index.landmark_matching import match_landmarks
+from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis
+from index.silhouette_matching import match_silhouette
 from index.skeleton import (
     JOINTS,
     camera_rotation,
@@ -27,7 +29,7 @@ QUERIES = range(0, 576, 61)
 def best_hypotheses(
     index: PoseIndex, silhouette: NDArray[np.uint8], n: int
 ) -> list[PoseHypothesis]:
-    return match(index, silhouette, n).hypotheses[:n]
+    return match_silhouette(index, silhouette, n).hypotheses[:n]
 
 
 View = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
@@ -133,7 +135,9 @@ def roll_of(index: PoseIndex, number: int) -> float:
 
 
 def best_of(index: PoseIndex, silhouette: NDArray[np.uint8], roll_deg: float) -> PoseHypothesis:
-    return match(index, np.ascontiguousarray(silhouette), 3, roll_deg=roll_deg).hypotheses[0]
+    return match_silhouette(
+        index, np.ascontiguousarray(silhouette), 3, roll_deg=roll_deg
+    ).hypotheses[0]
 
 
 class TestRolledQueries:
@@ -175,9 +179,12 @@ def test_landmarks_reduce_the_error(toy_index: PoseIndex, new_views: list[View])
     with_them: list[float] = []
     without: list[float] = []
     for silhouette, in_space, points in new_views[::4]:
-        for landmarks, errors in ((None, without), (landmarks_of(points, in_space), with_them)):
-            best = likeliest(match(toy_index, silhouette, 7, landmarks))
-            errors.append(joint_error(best.points_normalised, points))
+        landmarks = landmarks_of(points, in_space)
+        for found, errors in (
+            (match_silhouette(toy_index, silhouette, 7), without),
+            (match_landmarks(toy_index, silhouette, 7, landmarks), with_them),
+        ):
+            errors.append(joint_error(likeliest(found).points_normalised, points))
     assert np.mean(with_them) < 0.6 * np.mean(without)
 
 
@@ -187,7 +194,7 @@ def test_hypotheses_with_landmarks_share_the_posterior(
     """The first at other depths, where the picture shows it, and one that faces away."""
     for silhouette, in_space, points in new_views[::8]:
         landmarks = landmarks_of(points, in_space)
-        found = match(toy_index, silhouette, 14, landmarks).hypotheses
+        found = match_landmarks(toy_index, silhouette, 14, landmarks).hypotheses
         weights = np.array([one.weight for one in found], np.float64)
         assert (weights >= 0).all() and weights.sum() <= 1 + 1e-9
         first, *others = found[:DEFAULT_HYPOTHESES]
@@ -203,7 +210,7 @@ def test_hypotheses_with_landmarks_share_the_posterior(
                 toy_index.entry(one.entry_id, mirrored=one.mirrored).points_3d, one.rotation_deg
             )
             assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
-        fewer = match(toy_index, silhouette, 3, landmarks).hypotheses[:3]
+        fewer = match_landmarks(toy_index, silhouette, 3, landmarks).hypotheses[:3]
         assert [one.distance for one in fewer] == [one.distance for one in found[:3]]
 
 
@@ -214,7 +221,7 @@ def test_landmarks_decide_between_left_and_right(
     for silhouette, in_space, points in new_views[::4]:
         for exchanged in (False, True):
             wanted, depth = (exchange_sides(p) if exchanged else p for p in (points, in_space))
-            best = likeliest(match(toy_index, silhouette, 7, landmarks_of(wanted, depth)))
+            best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks_of(wanted, depth)))
             right, wrong = (
                 joint_error(best.points_normalised, p) for p in (wanted, exchange_sides(wanted))
             )
@@ -233,9 +240,9 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     cut, to_whole = rotate_silhouette(upper, 0.0)
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
     landmarks = landmarks_of(seen, entry.points_3d)
-    best = likeliest(match(toy_index, cut, 7, landmarks, whole=False))
+    best = likeliest(match_landmarks(toy_index, cut, 7, landmarks, whole=False))
     assert joint_error(best.points_normalised, seen) < 8
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
     # The silhouette affects only the order.
-    other = match(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
+    other = match_landmarks(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1

@@ -1,6 +1,7 @@
 """Modes: apart from each other, and interpolated to the query."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,14 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates
-from index.modes import DISTINCT_M, DepthModes, Modes, depth_modes, find_modes
+from index.modes import (
+    DISTINCT_M,
+    DepthModes,
+    Modes,
+    candidate_weights,
+    depth_modes,
+    find_modes,
+)
 from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of
@@ -42,6 +50,11 @@ def some_pose(seed: int = 0) -> Points:
     return pose
 
 
+def modes_of(candidates: Candidates, count: int, **options: Any) -> Modes:
+    """Modes by the distances of the candidates alone."""
+    return find_modes(candidates, candidate_weights(candidates.distances), count, **options)
+
+
 @settings(max_examples=60)
 @given(
     seed=st.integers(0, 999),
@@ -55,7 +68,7 @@ def test_modes_are_distinct_and_keep_bone_lengths(
     rng = np.random.default_rng(seed)
     poses = some_pose() + spread * rng.normal(size=(size, POINTS, 3))
     found = candidates_of(rng.normal(size=6), rng.normal(size=(size, 6)), poses)
-    modes = find_modes(found, count)
+    modes = modes_of(found, count)
     assert 1 <= len(modes) <= count
     centres = found.points_3d[modes.centres, :JOINTS]
     apart = np.sqrt(((centres[:, None] - centres[None]) ** 2).sum(axis=-1).mean(axis=-1))
@@ -79,7 +92,7 @@ def test_denser_mode_comes_first() -> None:
     poses = np.stack([some_pose(1)] * 3 + [some_pose(2)] * 7)
     angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # all as near
-    modes = find_modes(candidates_of(np.zeros(2), ring, poses), 5)
+    modes = modes_of(candidates_of(np.zeros(2), ring, poses), 5)
     assert modes.votes == pytest.approx([0.7, 0.3], abs=1e-3)
     assert_allclose(modes.points_3d[0], some_pose(2), atol=1e-3)
 
@@ -96,7 +109,7 @@ def test_query_between_known_poses_is_interpolated(where: float) -> None:
     along, direction = np.linspace(0, 1, 11), np.array([3.0, -4.0, 0.0])
     poses = start + along[:, None, None] * step
     found = candidates_of(where * direction, along[:, None] * direction, poses)
-    modes = find_modes(found, 3)
+    modes = modes_of(found, 3)
     assert len(modes) == 1
     reached = ((modes.points_normalised[0] - 100 * start[:, :2]) * step[:, :2]).sum()
     reached /= 100 * (step[:, :2] ** 2).sum()
@@ -114,7 +127,7 @@ def nearest(index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
 def test_modes_made_equal_by_interpolation_are_replaced(toy_index: PoseIndex, count: int) -> None:
     for number in range(0, 576, 23):
         found = nearest(toy_index, toy_index.silhouette(number)[::-1])
-        assert len(find_modes(found, count)) == min(count, len(find_modes(found, 200)))
+        assert len(modes_of(found, count)) == min(count, len(modes_of(found, 200)))
 
 
 def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
@@ -123,12 +136,12 @@ def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
     def fit(modes: Modes) -> Modes:
         return replace(modes, points_3d=np.repeat(found.points_3d[:1], len(modes), axis=0))
 
-    assert len(find_modes(found, 5)) == 5
-    assert len(find_modes(found, 5, fit=fit)) == 1
+    assert len(modes_of(found, 5)) == 5
+    assert len(modes_of(found, 5, fit=fit)) == 1
 
 
 def test_modes_check_their_shapes() -> None:
-    modes = find_modes(candidates_of(np.zeros(2), np.ones((1, 2)), some_pose()[None]), 1)
+    modes = modes_of(candidates_of(np.zeros(2), np.ones((1, 2)), some_pose()[None]), 1)
     with pytest.raises(ValueError, match="expected arrays of shapes"):
         replace(modes, votes=np.ones(2))
 
@@ -139,7 +152,7 @@ def test_rounding_does_not_choose_among_equal_densities() -> None:
     poses = np.tile(some_pose(), (40, 1, 1)) * (1 + 1e-15 * rng.normal(size=(40, 1, 1)))
     ring = np.stack([np.cos(np.arange(40.0)), np.sin(np.arange(40.0))], axis=1)
     found = replace(candidates_of(np.zeros(2), ring, poses), distances=np.ones(40))
-    assert find_modes(found, 1).centres.tolist() == [0]
+    assert modes_of(found, 1).centres.tolist() == [0]
 
 
 # Errors in depth that go together: the upper body leans, with a standard deviation of 15 cm.

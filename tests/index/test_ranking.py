@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates
-from index.matching import match
-from index.modes import find_modes
+from index.landmark_matching import match_landmarks
+from index.modes import candidate_weights, find_modes
 from index.network import RankingModel
 from index.ranking import NetworkRanking
 from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
@@ -37,39 +37,29 @@ def candidates(toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidate
     return find_candidates(toy_index, [RotatedQuery.of(silhouette, 0.0)], 60)
 
 
-def test_likeliest_mode_keeps_its_distance_and_others_become_farther(
-    ranking: NetworkRanking, candidates: Candidates
-) -> None:
-    modes = find_modes(candidates, 5)
-    likelihoods, distances = ranking.log_likelihood(modes), ranking.distances(modes)
-    others = np.arange(len(modes)) != likelihoods.argmax()
-    assert distances[~others] == modes.distances[~others]
-    assert (distances[others] > modes.distances[others]).all()
-    # The less likely, the longer for its descriptor.
-    longer = distances / modes.distances
+def test_the_less_likely_become_farther(ranking: NetworkRanking, candidates: Candidates) -> None:
+    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
+    ordered, distances = ranking.order(modes, 5)
+    assert distances.tolist() == sorted(distances)
+    longer, likelihoods = distances / ordered.distances, ranking.log_likelihood(ordered)
     assert (np.argsort(longer) == np.argsort(-likelihoods)).all()
+    assert longer.min() == 1
+    fewer, _ = ranking.order(modes, 3)
+    assert fewer.centres.tolist() == ordered.centres[:3].tolist()
 
 
 def test_support_is_one_for_the_likeliest_candidate(
     ranking: NetworkRanking, candidates: Candidates
 ) -> None:
     likelihoods, support = ranking.log_likelihood(candidates), ranking.support(candidates)
-    assert support is not None
     assert support.max() == support[likelihoods.argmax()] == 1
     assert (np.argsort(support) == np.argsort(likelihoods)).all()
-
-
-def test_no_support_without_a_weight(
-    reranker: RankingModel, silhouette: NDArray[np.uint8], candidates: Candidates
-) -> None:
-    plain = dataclasses.replace(reranker, support_weight=0.0)
-    assert NetworkRanking.of(plain, silhouette).support(candidates) is None
 
 
 def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
     ranking: NetworkRanking, candidates: Candidates
 ) -> None:
-    modes = find_modes(candidates, 5)
+    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
     fitted = ranking.fit(modes)
     assert (ranking.log_likelihood(fitted) > ranking.log_likelihood(modes)).all()
     for before, after in zip(modes.points_3d, fitted.points_3d, strict=True):
@@ -80,7 +70,7 @@ def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
 def test_fit_moves_skeleton_and_picture_alike(
     ranking: NetworkRanking, candidates: Candidates
 ) -> None:
-    modes = find_modes(candidates, 5)
+    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
     fitted = ranking.fit(modes)
     metres = (fitted.points_3d - modes.points_3d)[..., :2]
     pixels = fitted.points_normalised - modes.points_normalised
@@ -92,8 +82,7 @@ def test_network_is_not_used_with_landmarks(toy_index: PoseIndex, reranked: Pose
     entry = toy_index.entry(5)
     landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
     plain, other = (
-        match(index, index.silhouette(5), 3, landmarks) for index in (toy_index, reranked)
+        match_landmarks(index, index.silhouette(5), 3, landmarks) for index in (toy_index, reranked)
     )
-    assert_array_equal(plain.features, other.features)
     for one, same in zip(plain.hypotheses, other.hypotheses, strict=True):
         assert one.silhouette_distance == same.silhouette_distance
