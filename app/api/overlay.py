@@ -1,4 +1,4 @@
-"""Pictures of the people in a frame: the overlay and the label image."""
+"""Pictures of the people in a frame: the overlay, the label image, and their silhouettes."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -167,6 +167,14 @@ def draw_labels(estimate: Estimate) -> NDArray[np.uint8]:
         if person.silhouette is not None:
             person.silhouette.paint(labels, label)
     return labels
+
+
+def draw_silhouettes(estimate: Estimate) -> NDArray[np.uint8]:
+    """Draw the silhouettes ``(H, W, 3)``, BGR, in the colours of their people, upon black."""
+    number = draw_labels(estimate)
+    colours = np.zeros((256, 3), np.uint8)
+    colours[1:] = np.resize(PEOPLE, (255, 3))
+    return colours[number]
 
 
 def encode_png(picture: NDArray[np.uint8]) -> bytes:

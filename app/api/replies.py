@@ -201,6 +201,7 @@ def person_fields(
         ),
         "detection_score": None if score is None else round(score, 4),
         "source": person.source,
+        "window_empty": person.window_empty,
         "silhouette": silhouette and _silhouette(silhouette, frame_shape, form),
         "observed_keypoints": landmarks and _observed(landmarks, form.observed),
         "facing": None

@@ -451,6 +451,11 @@ class Person(Model):
         "`track`: the person is predicted there from earlier frames.",
         examples=["detector"],
     )
+    window_empty: bool = Field(
+        description="Whether the photograph shows nobody in a caller's box: it may be in another "
+        "form than `[x, y, width, height]`, or of another frame.",
+        examples=[False],
+    )
     silhouette: SilhouetteSummary | None = Field(
         description="Null if a caller's box holds no silhouette; there are no hypotheses then."
     )

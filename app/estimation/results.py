@@ -12,6 +12,7 @@ from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
+from app.vision.person_reader import MIN_PRESENCE
 from app.vision.rectification import Rectification
 from index.matching import PoseHypothesis
 from index.skeleton import wrap_degrees
@@ -92,6 +93,14 @@ class Person:
     def whole_box(self) -> Box:
         """The silhouette's box, or the detection's if there is no silhouette."""
         return self.box if self.silhouette is None else self.silhouette.box
+
+    @property
+    def window_empty(self) -> bool:
+        """Whether nobody is seen in the window about a caller's box."""
+        if self.source != "boxes":
+            return False
+        unseen = self.presence is not None and self.presence < MIN_PRESENCE
+        return self.silhouette is None or unseen
 
     def as_sent(self, rectification: Rectification) -> Self:
         """The same in pixels and axes of the frame as it was sent, for answers.

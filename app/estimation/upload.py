@@ -34,6 +34,9 @@ crowd overlap less, and the work on people grows with their pixels."""
 MIN_BOX_PX = 0.01
 """Shortest side of a caller's box: a unit of the last digit of a reply."""
 
+_MIN_LONGER_SIDE_PX = 2
+"""Of a box in pixels: no person is smaller, and fractions of a frame are at most 1."""
+
 _MIN_FIGURE_SHARE = 0.25
 """Area of the smallest part of a mask that may be a person, as a share of the largest part's."""
 
@@ -267,6 +270,12 @@ def _gaps_between_people(parts: NDArray[np.int32]) -> int:
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
+    if max(box.width, box.height) < _MIN_LONGER_SIDE_PX:
+        raise UploadError(
+            "boxes",
+            "expected boxes [x, y, width, height] in pixels, not fractions of the frame, "
+            f"got box {position}: {[box.x, box.y, box.width, box.height]}",
+        )
     height, width = frame.shape[:2]
     inside = box.clip(width, height)
     if inside is not None and min(inside.width, inside.height) >= MIN_BOX_PX:

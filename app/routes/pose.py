@@ -5,13 +5,13 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from app.api.overlay import draw_labels, draw_overlay, encode_png
+from app.api.overlay import draw_labels, draw_overlay, draw_silhouettes, encode_png
 from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
 from app.estimation.results import Evidence
 from app.http.identity import NamesCamera, RequireKey
 from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, NoQuery, OverlayQuery, PoseQuery
+from app.routes.queries import GivenOnce, OverlayQuery, PoseQuery, SilhouetteQuery
 from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
@@ -102,16 +102,18 @@ async def draw_pose(
     operation_id="extract_silhouettes",
     summary="The silhouettes of the people in a frame",
     response_class=Response,
-    dependencies=[NoQuery],
     responses=PNG,
     openapi_extra=DOCUMENTED_UPLOAD,
 )
-async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
-    """Segment the people of a frame: a label image.
+async def extract_silhouettes(
+    request: Request, upload: UploadForm, query: Annotated[SilhouetteQuery, Query()]
+) -> Response:
+    """Segment the people of a frame: a label image, or with `view=1` a picture.
 
-    0 is background, k is the k-th of `persons` in the answer of `/pose`. The image can be sent back
-    as `mask`. Viewers show it nearly black, since labels are small numbers. It has no palette:
-    OpenCV would read colours instead of labels. `/pose/overlay` is made to be looked at.
+    In the label image, 0 is background, and k is the k-th of `persons` in the answer of `/pose`. It
+    can be sent back as `mask`. Viewers show it nearly black, since labels are small numbers. It has
+    no palette: OpenCV would read colours instead of labels. With `view=1`, the people have the
+    colours of `/pose/overlay` upon black.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()
@@ -121,7 +123,7 @@ async def extract_silhouettes(request: Request, upload: UploadForm) -> Response:
         evidence: Evidence = "silhouette" if upload.background is None else "photograph"
         found = estimator.find_people(upload, job, evidence)
         runtime.metrics.observe_stages(job.stage_ms)
-        return encode_png(draw_labels(found))
+        return encode_png(draw_silhouettes(found) if query.view else draw_labels(found))
 
     content = await run_frame(request, work, kind=upload.given)
     return Response(content, media_type="image/png")

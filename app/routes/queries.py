@@ -167,6 +167,17 @@ class PoseQuery(_CameraQuery):
         )
 
 
+class SilhouetteQuery(_Query):
+    """Query parameters of a label image."""
+
+    view: bool = Field(
+        default=False,
+        description="Whether people are in the colours of `/pose/overlay`, to be looked at, "
+        "instead of labels.",
+        examples=[True],
+    )
+
+
 class TrackQuery(PoseQuery):
     """Query parameters of a camera's frame."""
 

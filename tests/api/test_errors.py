@@ -80,6 +80,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
     (422, "misfit"): [
         *(("/pose", form(frame=FRAME, boxes=boxes), "boxes", said) for boxes, said in (
             ("[[1, 2, 0, 4]]", "got box 0: [1.0, 2.0, 0.0, 4.0]"),
+            ("[[0.1, 0.2, 0.3, 0.9]]", "in pixels, not fractions of the frame, got box 0"),
             # Counted, not parsed: a parser would say that the end is missing.
             ("[" + "[1, 2, 3, 4]," * 60_000, "at most 50 persons, got 60000"),
             ("[[1, 2, 3, 4" + "0" * 900_000, "at most 12800 characters"),
@@ -111,7 +112,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ("roll_deg=20", "roll_deg: expected a multiple of 90, got '20'"),
             ("roll_deg=left", "a number, got 'left'"),
         )),
-        ("/silhouette?n=3", form(frame=FRAME), "n", "n: expected no query parameters"),
+        ("/silhouette?n=3", form(frame=FRAME), "n", "n: expected one of the query parameters view"),
         ("GET /index/entries/3?keypoint=coco17", {}, "keypoint", ""),
         ("GET /index/entries/1.0", {}, "entry", "whole number"),
         (DEEPSTACK, form(api_key="any"), "image", "image: expected an image file, got none"),

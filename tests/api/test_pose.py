@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.overlay import LEGEND
+from app.api.overlay import LEGEND, PEOPLE
 from app.api.schemas import PoseResponse
 from index.skeleton import NATIVE
 from tests.conftest import WALKERS, Photo, png
@@ -91,7 +91,7 @@ def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
     labels = client.post("/silhouette", files=frame, data={"boxes": BOXES}).content
     (again,) = client.post("/pose", files={**frame, "mask": labels}).json()["persons"]
-    assert found["source"] == "boxes"
+    assert found["source"] == "boxes" and not found["window_empty"]
     assert again["source"] == "mask"
     assert again["silhouette"]["area_px"] == found["silhouette"]["area_px"]
     # The keypoints are nearly the same, and so are the poses.
@@ -99,6 +99,31 @@ def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
     apart = points(best["joints_2d"]) - points(same["joints_2d"])
     assert np.linalg.norm(apart, axis=1).mean() < 8
+
+
+def test_silhouettes_to_look_at_have_the_labels_places(client: TestClient) -> None:
+    boxes = {"boxes": BOXES}
+    labels, view = (
+        cv2.imdecode(np.frombuffer(one.content, np.uint8), cv2.IMREAD_UNCHANGED)
+        for one in (
+            client.post(f"/silhouette{query}", files={"frame": STREET}, data=boxes)
+            for query in ("", "?view=1")
+        )
+    )
+    for label in range(labels.max() + 1):
+        assert (view[labels == label] == ((0, 0, 0), *PEOPLE)[label]).all()
+
+
+def test_boxes_of_another_form_show_nobody(client: TestClient) -> None:
+    """A walker's box, and the same as corners, as a centre, with its axes exchanged."""
+    x, y, width, height = 133, 162, 41, 105
+    sent = [
+        [x, y, width, height], [x, y, x + width, y + height],
+        [x + width / 2, y + height / 2, width, height], [y, x, height, width],
+    ]  # fmt: skip
+    found = client.post("/pose", files={"frame": STREET}, data={"boxes": json.dumps(sent)}).json()
+    seen = [one["box"] for one in found["persons"] if not one["window_empty"]]
+    assert seen == [{"x": x, "y": y, "width": width, "height": height}]
 
 
 COLUMNS = np.arange(320)
