@@ -12,15 +12,15 @@ from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.appearance import Patch, appearance_histogram
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.tracking.track import Sighting, Track, associate
+from app.tracking.track import Track, associate
 from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
+from app.vision.appearance import Patch, colours_of
 from app.vision.geometry import Box
 from app.vision.rectification import Rectification
-from app.vision.silhouettes import ends_at_border
+from app.vision.truncation import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 110_000
@@ -117,10 +117,14 @@ class CameraSession:
             warnings = (*warnings, "zone_outside")
         zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(rectification, timestamp)
-        sightings = self._find(upload, decoded, evidence, timestamp, job)
+        people, in_window = self._find(decoded, evidence, timestamp, job)
         if decoded.has_frame:
-            sightings = [_with_looks(sighting, frame) for sighting in sightings]
-        seen = self._identify(sightings, timestamp, zones)
+            people = [_with_looks(person, frame) for person in people]
+        if upload.track_ids is None:
+            tracks = associate(self._tracks, people, timestamp, in_window)
+        else:
+            tracks = self._named_by_caller(people, upload.track_ids, timestamp)
+        seen = self._identify(people, tracks, timestamp, zones)
         self._drop_unseen(frame, timestamp)
         seen += self._hidden_people(timestamp)
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
@@ -185,74 +189,60 @@ class CameraSession:
         self._tracks = []
 
     def _find(
-        self,
-        upload: Upload,
-        decoded: DecodedUpload,
-        evidence: Evidence,
-        timestamp: float,
-        job: Job,
-    ) -> list[Sighting]:
-        """Find people using the tracks' windows, or where the caller says they are."""
+        self, decoded: DecodedUpload, evidence: Evidence, timestamp: float, job: Job
+    ) -> tuple[list[Person], dict[int, Track]]:
+        """Find people, in the windows of tracks as well unless the caller says where they are.
+
+        The positions of people whom the window of a track shows lead to that track.
+        """
         shown = decoded.mask, decoded.boxes, decoded.background
         reads = decoded.has_frame and evidence == "photograph"
         if reads and all(one is None for one in shown):
             return self._detector.find(decoded, timestamp, self._tracks, job)
-        people = self._estimator.finder.find(decoded, evidence, job)
-        if upload.track_ids is None:
-            return [Sighting(person) for person in people]
-        return self._named_by_caller(people, upload.track_ids, timestamp)
+        return self._estimator.finder.find(decoded, evidence, job), {}
 
     def _named_by_caller(
         self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
-    ) -> list[Sighting]:
-        """Give each person the track that has the caller's identity for them."""
+    ) -> list[Track | None]:
+        """The track of each person, which has the caller's identity for them."""
         known = {track.caller_id: track for track in self._tracks}
-        sightings = []
+        tracks = []
         for person, caller_id in zip(people, caller_ids, strict=True):
-            track = known.get(caller_id) or self._begin(Sighting(person), timestamp)
+            track = known.get(caller_id) or self._begin(person, timestamp)
             if track is not None:
                 track.caller_id = caller_id
-            sightings.append(Sighting(person, track=track))
-        return sightings
+            tracks.append(track)
+        return tracks
 
     def _identify(
-        self, sightings: Sequence[Sighting], timestamp: float, zones: Sequence[Zone]
+        self,
+        people: Sequence[Person],
+        tracks: Sequence[Track | None],
+        timestamp: float,
+        zones: Sequence[Zone],
     ) -> list[tuple[Person, Track]]:
-        """Give each sighting a track; return the people with their tracks."""
+        """Begin tracks of new people, who have none; return the people with their tracks."""
         seen = []
-        for sighting, known in zip(sightings, self._assign(sightings, timestamp), strict=True):
-            track = known or self._begin(sighting, timestamp)
+        for person, known in zip(people, tracks, strict=True):
+            track = known or self._begin(person, timestamp)
             if track is not None:
-                track.see(sighting, timestamp)
-                seen.append((sighting.person, track))
+                track.see(person, timestamp)
+                seen.append((person, track))
         self._confirm(timestamp, zones)
         return seen
 
-    def _assign(self, sightings: Sequence[Sighting], timestamp: float) -> list[Track | None]:
-        """The track of each sighting, None for a new person; the caller's identities decide."""
-        tracks = [
-            sighting.track if sighting.track and sighting.track.caller_id else None
-            for sighting in sightings
-        ]
-        open_rows = [row for row, track in enumerate(tracks) if track is None]
-        others = [track for track in self._tracks if track not in tracks]
-        assigned = associate(others, [sightings[row] for row in open_rows], timestamp)
-        for row, other in zip(open_rows, assigned, strict=True):
-            tracks[row] = None if other is None else others[other]
-        return tracks
-
-    def _begin(self, sighting: Sighting, timestamp: float) -> Track | None:
+    def _begin(self, person: Person, timestamp: float) -> Track | None:
         """Begin the track of a new person; None where there are too many."""
         if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
             return None
-        track = Track(sighting, timestamp)
+        track = Track(person, timestamp)
         self._tracks.append(track)
         return track
 
     def _hidden_people(self, timestamp: float) -> list[tuple[Person, Track]]:
         """People behind others at their expected places, and those who fell where they lie."""
         return [
-            (Person(box, "track", None, None), track)
+            (Person(box, "track"), track)
             for track in self._tracks
             if track.seen_at < timestamp
             and (box := track.lies_at or self._hidden_box(track, timestamp)) is not None
@@ -351,10 +341,8 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
     return replace(tracked.as_sent(rectification), pose=pose)
 
 
-def _with_looks(sighting: Sighting, frame: NDArray[np.uint8]) -> Sighting:
-    """A sighting with what the frame shows of the person."""
-    person = sighting.person
-    sighting = replace(sighting, patch=Patch.of(frame, person.box))
-    if person.silhouette is None:
-        return sighting
-    return replace(sighting, appearance=appearance_histogram(frame, person.silhouette))
+def _with_looks(person: Person, frame: NDArray[np.uint8]) -> Person:
+    """A person with what the frame shows of them: their place and the colours of their clothes."""
+    silhouette = person.silhouette
+    colours = None if silhouette is None else colours_of(frame, silhouette)
+    return replace(person, patch=Patch.of(frame, person.box), colours=colours)

@@ -15,8 +15,10 @@ from app.estimation.results import Estimate, Evidence, Facing, Person, Projected
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork, MaskNetwork
+from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
+from app.vision.detectors.blazepose import BlazePoseDetector
+from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box
 from app.vision.judgement import load_photograph_models
 from app.vision.models import network_path
@@ -219,9 +221,8 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     reader = PersonReader(landmarks, masks, KeypointReader(movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     objects = ObjectNetwork(network_path("objects"), **share)
-    detector = NetworkDetector(
-        movenet, pose_detection, landmarks, objects, min_person_px=min_person_px
-    )
+    detectors = MoveNetDetector(movenet), pose_detection
+    detector = NetworkDetector(detectors, landmarks, objects, min_person_px=min_person_px)
     frame = np.full((240, 320, 3), 127, np.uint8)
     box = Box(120.0, 40.0, 60.0, 160.0)
     detector.detect(frame)

@@ -160,8 +160,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     estimator = load_estimator(Settings())
     estimate = estimator.estimate(upload, options.n, Job())
     options.out.mkdir(parents=True, exist_ok=True)
-    detections = estimator.models.detector.detect(estimate.frame)
-    pictures = {"detections.png": draw_detections(estimate.frame, detections)}
+    people, perhaps_beside = estimator.models.detector.detect(estimate.frame)
+    drawn = draw_detections(estimate.frame, [*people, *perhaps_beside])
+    pictures = {"detections.png": drawn}
     for number, person in enumerate(estimate.persons, start=1):
         pictures[f"person-{number}.png"] = draw_person(estimate.frame, estimator.index, person)
         print(describe(number, person))

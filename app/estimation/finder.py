@@ -12,17 +12,16 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import BackgroundSegmenter
 from app.vision.blazepose import PoseReading
-from app.vision.detector import NetworkDetector, smallest_person_px
+from app.vision.detector import NetworkDetector
+from app.vision.detectors.tiles import smallest_person_px
 from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import Judgement, PhotographModels
+from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
-from app.vision.person_reader import (
-    MIN_PRESENCE,
-    PersonReader,
-    attenuate_visibility_at_border,
-    reading_quality,
-)
-from app.vision.silhouettes import end_beyond_border, silhouettes_from_labels, silhouettes_of
+from app.vision.person_reader import MIN_PRESENCE, PersonReader, reading_quality
+from app.vision.same_person import first_of_body
+from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.truncation import attenuate_visibility_at_border, end_beyond_border
 
 
 @dataclass(frozen=True)
@@ -40,20 +39,40 @@ class Target:
 
     Parameters
     ----------
-    box : Box
-        As marked, detected or expected, pixels.
-    score : float or None
-        Probability of a person; None if the caller marked them.
-    detection : Detection or None
-        None if no detector has found the person.
+    found : Detection
+        As detected; of others, the box in which they are marked or expected.
     expected : PersonWindow or PoseReading or None
         Window in which a track expects the person, or the reading in it.
+    followed : bool
+        Whether only a track shows that the person is there.
     """
 
-    box: Box
-    score: float | None = None
-    detection: Detection | None = None
+    found: Detection
     expected: PersonWindow | PoseReading | None = None
+    followed: bool = False
+
+    def box_of(self, reading: PoseReading | None) -> Box:
+        """The person's box; of a person who is only followed, about the landmarks."""
+        if self.followed and reading is not None:
+            return reading.landmarks.box().grown(_BODY_MARGIN)
+        return self.found.box
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A body to observe: its target, the reading that shows it best, and how that is judged.
+
+    ``beside`` says that it was read while others were painted over.
+    """
+
+    target: Target
+    reading: PoseReading | None = None
+    beside: bool = False
+    judged: Judgement | None = None
+
+    @property
+    def box(self) -> Box:
+        return self.target.box_of(self.reading)
 
 
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
@@ -61,7 +80,7 @@ Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 _MARKED: tuple[Source, ...] = ("boxes", "mask")
 """Sources in which the caller says who is a person."""
 
-# Share of the detections that were not certain but were read beside others that show a person, in
+# Share of those perhaps beside others who are people if a reading beside these shows a body, in
 # rendered groups.
 _READ_BESIDE_SCORE = 0.8
 # Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
@@ -88,35 +107,42 @@ class PeopleFinder:
         because they also separate people from the background.
         """
         landmarks = evidence == "photograph" and upload.has_frame
-        source, targets, cut = self._targets(upload, job)
-        people = self.observe(upload, targets, job, source, landmarks=landmarks, cut=cut)
+        source, found, beside, cut = self._found(upload, job)
+        targets = [Target(one) for one in found]
+        people, _ = self.observe(
+            upload, targets, job, source, perhaps_beside=beside, landmarks=landmarks, cut=cut
+        )
         if source in _MARKED:
-            return [person for person in people if person is not None]
+            return people
         # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
-        return [replace(one, box=one.box.joined(one.whole_box)) for one in people if one]
+        return [replace(one, box=one.box.joined(one.whole_box)) for one in people]
 
-    def _targets(self, upload: DecodedUpload, job: Job) -> tuple[Source, list[Target], Cut | None]:
-        """Where people are, who says so, and how they are cut out if not by their readings."""
+    def _found(
+        self, upload: DecodedUpload, job: Job
+    ) -> tuple[Source, list[Detection], list[Detection], Cut | None]:
+        """Who says where people are; these, and those perhaps beside them; how to cut them out.
+
+        By default, the masks of their readings do.
+        """
         frame = upload.frame
         if upload.mask is not None:
             with job.stage("segment"):
                 silhouettes = silhouettes_from_labels(upload.mask)
-            return "mask", [Target(one.box) for one in silhouettes], lambda _: silhouettes
+            marked = [Detection(one.box, 1.0) for one in silhouettes]
+            return "mask", marked, [], lambda _: silhouettes
         scene = cut = None
         if upload.background is not None:
             smallest = smallest_person_px(frame.shape, self.min_person_px)
             scene = BackgroundSegmenter(upload.background, min_person_px=smallest)
             cut = partial(scene.segment, frame, checkpoint=job.checkpoint)
         if upload.boxes is not None:
-            return "boxes", [Target(box) for box in upload.boxes], cut
+            return "boxes", [Detection(box, 1.0) for box in upload.boxes], [], cut
         if scene is None:
-            found = self.search(frame, job)
-        else:
-            with job.stage("detect"):
-                found = scene.detect(frame)[: self.max_persons]
-            job.checkpoint()
-        targets = [Target(one.box, one.score, one) for one in found]
-        return "detector" if scene is None else "background", targets, cut
+            return "detector", *self.search(frame, job), cut
+        with job.stage("detect"):
+            found = scene.detect(frame)[: self.max_persons]
+        job.checkpoint()
+        return "background", found, [], cut
 
     def search(
         self,
@@ -124,36 +150,32 @@ class PeopleFinder:
         job: Job,
         lost: Sequence[Box] = (),
         known: Sequence[Box] = (),
-    ) -> list[Detection]:
-        """Detect the people of a whole frame, best first.
+    ) -> tuple[list[Detection], list[Detection]]:
+        """Detect the people of a whole frame, and those perhaps beside them; best first.
 
         ``lost`` are boxes of people who were there a moment ago and were not seen to leave,
         ``known`` those of people who are followed.
         """
         with job.stage("detect"):
-            found = self.models.detector.detect(frame, lost, known)[: self.max_persons]
+            people, beside = self.models.detector.detect(frame, lost, known)
         job.checkpoint()
-        return found
+        return people[: self.max_persons], beside[: max(0, self.max_persons - len(people))]
 
     def read(
         self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
     ) -> list[PoseReading | None]:
         """Read landmarks of people, without their masks.
 
-        None stands where a track's window shows nobody any more, and for detections that are not
-        certain.
+        None stands where a track's window shows nobody any more.
         """
         reader = self.models.reader
 
         def read(target: Target) -> PoseReading | None:
-            expected, found = target.expected, target.detection
-            if found is not None and not found.certain:
-                return None
-            if found is None and isinstance(expected, PoseReading):
+            expected, found = target.expected, target.found
+            if target.followed and isinstance(expected, PoseReading):
                 return expected
-            if found is None and isinstance(expected, PersonWindow):
+            if target.followed and isinstance(expected, PersonWindow):
                 return reader.follow(frame, expected)
-            found = found or Detection(target.box, 1.0)
             return reader.read(frame, found.box, found.keypoints, found.windows, expected)
 
         with job.stage("keypoints"):
@@ -166,16 +188,19 @@ class PeopleFinder:
         job: Job,
         source: Source = "detector",
         *,
+        perhaps_beside: Sequence[Detection] = (),
         landmarks: bool = True,
         cut: Cut | None = None,
         tight: bool = False,
-    ) -> list[Person | None]:
+    ) -> tuple[list[Person], list[int | None]]:
         """Observe people: read each body once, cut out the silhouettes, judge the landmarks.
 
         Parameters
         ----------
         source : str
             Who found the people. Those whom the caller marked stay, whatever is seen of them.
+        perhaps_beside : sequence of Detection
+            They count if readings beside the bodies of the targets show other bodies.
         landmarks : bool
             Whether landmarks are wanted; otherwise they only separate people.
         cut : callable, optional
@@ -186,103 +211,99 @@ class PeopleFinder:
 
         Returns
         -------
-        list of Person or None
-            One for each target; None where nobody is seen, or a body that another target shows. A
-            track whose window shows a detected body that no track expected has its person as well.
+        people : list of Person
+            One for each body that is seen.
+        shown : list of int or None
+            For each target, the position of the person whom it shows; None if it shows nobody, or a
+            track's window shows whom that of a nearer track shows.
         """
-        frame, marked, reads = upload.frame, source in _MARKED, landmarks or cut is None
-        readings: list[PoseReading | None] = [None] * len(targets)
-        if reads:
-            readings = self.read(frame, targets, job)
-        rows, beside, shown_by = [*range(len(targets))], list[int](), dict[int, int]()
-        if reads and not marked:
-            shown_by = best_shown_by(targets, readings)
-            rows = [row for row in rows if shown_by.get(row) == row]
-            beside = self._read_beside(frame, targets, readings, rows, job)
-            rows = sorted(rows + beside)
-        boxes = [_box(targets[row], readings[row]) for row in rows]
-
-        def look(row: int) -> tuple[PoseReading | None, Judgement | None]:
-            """A reading, with its mask if that is wanted, and the judgement of its landmarks."""
-            reading, judged = readings[row], None
-            if reading and cut is None:
-                reading = self.models.reader.with_mask(reading)
-            if reading and landmarks and reading.network_pass is not None:
-                judged = self.models.judgement.judge(reading, upload.camera)
-            return reading, judged
-
+        frame, marked = upload.frame, source in _MARKED
+        shows: list[int | None] = [*range(len(targets))]
+        if cut is not None and not landmarks:
+            bodies = [_Body(target) for target in targets]
+        elif marked:
+            bodies = [*map(_Body, targets, self.read(frame, targets, job))]
+        else:
+            bodies, shows = self._bodies(frame, targets, perhaps_beside, job)
+        camera = upload.camera if landmarks else None
         with job.stage("keypoints"):
-            seen = job.map(look, rows)
+            bodies = job.map(partial(self._look, masked=cut is None, camera=camera), bodies)
+        by_masks = partial(
+            silhouettes_of,
+            [body.reading for body in bodies if body.reading],
+            frame_shape=frame.shape,
+            exact=marked,
+            checkpoint=job.checkpoint,
+        )
         with job.stage("segment"):
-            silhouettes = (
-                silhouettes_of(
-                    [reading for reading, _ in seen if reading],
-                    boxes,
-                    frame.shape,
-                    exact=marked,
-                    checkpoint=job.checkpoint,
-                )
-                if cut is None
-                else cut(boxes)
-            )
-        people: list[Person | None] = [None] * len(targets)
-        for row, box, silhouette, (reading, judged) in zip(
-            rows, boxes, silhouettes, seen, strict=True
-        ):
-            if silhouette is None and not marked:
-                continue  # A detection without a silhouette is unlikely to be a person.
-            if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
-                box = silhouette.box
-            score, detection = targets[row].score, targets[row].detection
-            if score is not None and detection is not None and not detection.certain:
-                score = max(score, _READ_BESIDE_SCORE)
-            person = Person(box, source, score, silhouette, beside=row in beside)
-            people[row] = self._with_reading(person, reading, judged, upload, landmarks)
-        for row, best in shown_by.items():
-            unexpected = targets[best].detection is not None and targets[best].expected is None
-            if targets[row].detection is None and unexpected:
-                people[row] = people[best]
-        return people
+            silhouettes = (cut or by_masks)([body.box for body in bodies])
+        # A detection without a silhouette is unlikely to be a person.
+        kept = [row for row, one in enumerate(silhouettes) if marked or one is not None]
+        people = []
+        for row in kept:
+            person = _person(bodies[row], silhouettes[row], source, tight=tight)
+            people.append(self._with_reading(person, bodies[row], upload, landmarks=landmarks))
+        return people, [kept.index(row) if row in kept else None for row in shows]
 
-    def _read_beside(
+    def _bodies(
         self,
         frame: NDArray[np.uint8],
         targets: Sequence[Target],
-        readings: list[PoseReading | None],
-        kept: Sequence[int],
+        perhaps_beside: Sequence[Detection],
         job: Job,
-    ) -> list[int]:
-        """Read detections that are not certain, and those whose readings show the bodies of others.
+    ) -> tuple[list[_Body], list[int | None]]:
+        """The bodies that targets show, each once; for each target, the position of its body."""
+        readings = self.read(frame, targets, job)
+        best = best_shown_by(targets, readings)
+        kept = [row for row in range(len(targets)) if best.get(row) == row]
+        bodies = [_Body(targets[row], readings[row]) for row in kept]
+        shows = [kept.index(best[row]) if row in best else None for row in range(len(targets))]
+        # Two detections whose readings show one body may be of two people all the same.
+        hidden = [targets[row] for row in best if row not in kept and not targets[row].followed]
+        hidden += [
+            Target(replace(one, score=max(one.score, _READ_BESIDE_SCORE))) for one in perhaps_beside
+        ]
+        return bodies + self._read_beside(frame, hidden, bodies, job), shows
+
+    def _read_beside(
+        self, frame: NDArray[np.uint8], hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
+    ) -> list[_Body]:
+        """Bodies of detections that readings show beside others, if these are new.
 
         The network looks at the person who is most apparent in a window. MoveNet's keypoints of the
-        detection show whether there is another one. Returns the rows of new bodies.
+        detection show whether there is another one.
         """
-        bodies = [reading for row in kept if (reading := readings[row])]
-        rows = []
-        for row, target in enumerate(targets):
-            detection = target.detection
-            if row in kept or detection is None or detection.keypoints is None:
+        known = [body.reading for body in bodies if body.reading]
+        found = []
+        for target in hidden:
+            one = target.found
+            if one.keypoints is None:
                 continue
             with job.stage("keypoints"):
-                reading = self.models.reader.read_beside(
-                    frame, target.box, detection.keypoints, bodies
-                )
-                if reading is None or first_of_body([*bodies, reading])[-1] < len(bodies):
-                    continue
-            readings[row] = reading
-            bodies.append(reading)
-            rows.append(row)
-        return rows
+                reading = self.models.reader.read_beside(frame, one.box, one.keypoints, known)
+            if reading is None or first_of_body([*known, reading])[-1] < len(known):
+                continue
+            known.append(reading)
+            found.append(_Body(target, reading, beside=True))
+        return found
+
+    def _look(self, body: _Body, *, masked: bool, camera: PinholeCamera | None) -> _Body:
+        """A body whose reading has its mask, if that is wanted, and is judged, given a camera."""
+        reading = body.reading
+        if reading is None:
+            return body
+        if masked:
+            reading = self.models.reader.with_mask(reading)
+        judged = None
+        if camera is not None and reading.network_pass is not None:
+            judged = self.models.judgement.judge(reading, camera)
+        return replace(body, reading=reading, judged=judged)
 
     def _with_reading(
-        self,
-        person: Person,
-        reading: PoseReading | None,
-        judged: Judgement | None,
-        upload: DecodedUpload,
-        landmarks: bool,
+        self, person: Person, body: _Body, upload: DecodedUpload, *, landmarks: bool
     ) -> Person:
         """Add whether the reading shows that the body is truncated, and landmarks if wanted."""
+        reading, judged = body.reading, body.judged
         if reading is None:
             return person
         shape, silhouette = upload.frame.shape, person.silhouette
@@ -300,25 +321,22 @@ class PeopleFinder:
         if judged is None:
             return replace(person, landmarks=visible)
         metres = judged.body.along_sight(upload.camera, visible)
+        covariance = self.models.judgement.depth.covariance(judged.body.sigmas)
         return replace(
             person,
-            landmarks=replace(
-                visible,
-                metres=metres,
-                depth_covariance=self.models.judgement.depth.covariance(judged.body.sigmas),
-            ),
+            landmarks=replace(visible, metres=metres, depth_covariance=covariance),
             frame_posture=judged.posture,
             trust=judged.trust,
         )
 
 
-def _box(target: Target, reading: PoseReading | None) -> Box:
-    """The target's own box or, where only a track expects the person, one about the landmarks."""
-    if target.detection is not None or target.expected is None or reading is None:
-        return target.box
-    box = reading.landmarks.box()
-    margin = _BODY_MARGIN * max(box.width, box.height)
-    return Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
+def _person(body: _Body, silhouette: Silhouette | None, source: Source, *, tight: bool) -> Person:
+    """The person of a body before what its reading shows is added."""
+    box, reading = body.box, body.reading
+    if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
+        box = silhouette.box
+    score = None if source in _MARKED else body.target.found.score
+    return Person(box, source, score, silhouette, beside=body.beside)
 
 
 def best_shown_by(
@@ -327,42 +345,22 @@ def best_shown_by(
     """For each row with a reading, the row whose reading of the same body is kept.
 
     A detection's is kept rather than a track's; of two detections, the one whose keypoints fit the
-    reading better; of two tracks, the one whose box is nearer to the body.
+    reading better; of two tracks, the one whose box is nearer to the body. The other track shows
+    nobody.
     """
     read = {row: reading for row, reading in enumerate(readings) if reading is not None}
 
     def rank(row: int) -> tuple[float, float]:
-        target = targets[row]
-        if target.detection is not None:
-            return -reading_quality(read[row], target.detection.keypoints), 0.0
-        return 1.0, -target.box.iou(read[row].landmarks.box())
+        target, reading = targets[row], read[row]
+        if target.followed:
+            return 1.0, -target.found.box.iou(reading.landmarks.box())
+        return -reading_quality(reading, target.found.keypoints), 0.0
 
     order = sorted(read, key=rank)
     first = first_of_body([read[row] for row in order])
-    return {row: order[best] for row, best in zip(order, first, strict=True)}
-
-
-DUPLICATE_BODY_DISTANCE = 0.12
-"""Mean distance between landmarks, in sizes of the body, below which two readings show the same
-person."""
-
-
-def first_of_body(readings: Sequence[PoseReading]) -> list[int]:
-    """For each reading, the first one that shows the same body: its own row if none does."""
-    first: list[int] = []
-    for row, reading in enumerate(readings):
-        same = (
-            other
-            for other in dict.fromkeys(first)
-            if _apart(reading, readings[other]) < DUPLICATE_BODY_DISTANCE
-        )
-        first.append(next(same, row))
-    return first
-
-
-def _apart(first: PoseReading, second: PoseReading) -> float:
-    """Mean distance between the landmarks of two readings, in sizes of the smaller body."""
-    offsets = first.landmarks.positions - second.landmarks.positions
-    weights = first.landmarks.visibility * second.landmarks.visibility + 1e-3
-    distance = float(weights @ np.linalg.norm(offsets, axis=1) / weights.sum())
-    return distance / min(first.body_px, second.body_px)
+    best = {row: order[one] for row, one in zip(order, first, strict=True)}
+    return {
+        row: one
+        for row, one in best.items()
+        if row == one or not (targets[row].followed and targets[one].followed)
+    }

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture
+from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
@@ -71,18 +72,21 @@ class Person:
     from them, ``trust`` and the frame's posture among it, are None where these were not read.
     ``presence`` is the probability, from the landmark network, that a person is there,
     ``next_window`` where it would look in the next frame, ``beside`` whether it saw the person only
-    while others were painted over. Hypotheses come best first; without a silhouette there are none,
-    and neither facing nor posture.
+    while others were painted over; ``patch`` and ``colours`` ``(80,)`` are how a person who is
+    tracked looks. Hypotheses come best first; without a silhouette there are none, and neither
+    colours, facing nor posture.
     """
 
     box: Box
     source: Source
-    detection_score: float | None
-    silhouette: Silhouette | None
+    detection_score: float | None = None
+    silhouette: Silhouette | None = None
     landmarks: Landmarks | None = None
     presence: float | None = None
     next_window: PersonWindow | None = None
     beside: bool = False
+    patch: Patch | None = None
+    colours: NDArray[np.float32] | None = None
     frame_posture: FramePosture | None = None
     trust: Trust | None = None
     facing: Facing | None = None

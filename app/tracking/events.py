@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from app.tracking.results import Event, EventName, EventState
 from app.vision.geometry import Box
-from app.vision.silhouettes import gaps_to_border
+from app.vision.truncation import gaps_to_border
 from index.posture import ON_THE_GROUND, POSTURES, PostureName
 
 # Time constant of the low-pass filter over the frames.

@@ -6,21 +6,27 @@ find new people and to check the tracks: MoveNet, which needs no window, finds p
 have drifted off. While nothing changes around tracked people, searches are rarer.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.finder import PeopleFinder, Target
+from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
-from app.tracking.track import Sighting, Track
+from app.tracking.track import Track
 from app.vision.blazepose import PoseReading
-from app.vision.detector import smallest_person_px
+from app.vision.detectors.tiles import smallest_person_px
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
-from app.vision.silhouettes import ends_at_border
+from app.vision.people import Detection
+from app.vision.same_person import is_expected
+from app.vision.truncation import ends_at_border
 
 SEARCH_EVERY_S = 0.4
 """Time between two searches of the whole frame if it changes around the tracked people."""
@@ -30,8 +36,6 @@ STILL_SEARCH_EVERY_S = 3.0
 
 # A track's window is read for this long after a sighting.
 _WINDOW_LASTS_S = 0.5
-# Overlap of a detection with the predicted box of its track.
-_MIN_TRACK_IOU = 0.3
 
 Expected = Mapping[Track, PersonWindow | PoseReading]
 """Windows in which tracks expect their people, or the readings in them."""
@@ -47,87 +51,131 @@ class TrackedPeopleDetector:
 
     def find(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
-    ) -> list[Sighting]:
+    ) -> tuple[list[Person], dict[int, Track]]:
         """Find the people of a frame with their silhouettes and landmarks, given all tracks.
 
-        Each sighting has the track whose window shows the person; None if none does.
+        Returns
+        -------
+        people : list of Person
+        in_window : dict
+            For the positions of people whom the window of a track shows, that track.
         """
-        targets = self._targets(upload.frame, timestamp, tracks, job)
-        people = self._finder.observe(upload, [target for target, _ in targets], job, tight=True)
+        found, beside, followed = self._targets(upload.frame, timestamp, tracks, job)
+        targets = [*found, *(_followed(*one, timestamp) for one in followed.items())]
+        people, shown = self._finder.observe(
+            upload, targets, job, perhaps_beside=beside, tight=True
+        )
         self._read_at = timestamp
-        sightings: dict[int, Sighting] = {}
-        for person, (_, track) in zip(people, targets, strict=True):
-            # A person who was detected stands again where a track's window shows them.
-            if person is not None and (
-                id(person) not in sightings or sightings[id(person)].track is None
-            ):
-                sightings[id(person)] = Sighting(person, track=track)
-        return list(sightings.values())
+        # Where another track expects them, appearance and place decide.
+        expected = {
+            row for row, one in zip(shown[: len(found)], found, strict=True) if one.expected
+        }
+        in_window: dict[int, Track] = {}
+        for row, track in zip(shown[len(found) :], followed, strict=True):
+            if row is not None and row not in expected:
+                in_window.setdefault(row, track)
+        return people, in_window
 
     def _targets(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
-    ) -> list[tuple[Target, Track | None]]:
-        """Tracks in their windows or, if that is not enough, all people found by a search.
+    ) -> tuple[list[Target], list[Detection], Expected]:
+        """People found by a search, those perhaps beside them, and tracks to be read in windows.
 
-        The search uses a lower threshold near people who have been lost, until their tracks end. A
-        lost track that was not confirmed, or whose person has left the frame or was hardly seen
-        behind others, does not cause a search before the next one is due; nor does a person who
-        fell and lies where they were last seen. Without tracks, every frame is searched unless the
-        scene is still.
+        If the windows show everybody whom a search may find, there is none. Without tracks, every
+        frame is searched unless the scene is still.
         """
-        recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
-        expected: Expected = {one: one.next_window for one in recent if one.next_window}
-        people = [track for track in tracks if track.track_id is not None]
-        lost = [track for track in people if track.seen_at < self._read_at]
+        state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
-        still = self._scene.is_still(frame, smallest, timestamp, tracks)
-        still &= len(expected) == len(people) == len(tracks) and not lost
+        still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
         interval = STILL_SEARCH_EVERY_S if still else SEARCH_EVERY_S
-        due = timestamp - self._searched_at >= interval
-        lies = any(track.lies_at for track in tracks)
-        if (expected or still or lies) and len(expected) == len(recent) and not due:
+        expected, lost = state.expected, state.lost
+        if timestamp - self._searched_at < interval and (still or state.may_suffice):
             expected = self._shown(frame, timestamp, expected, job)
-            gone = [track for track in people if track in recent and track not in expected]
-            may_be_there = [
-                track
-                for track in gone
-                if not (track.beside or ends_at_border(track.box_filter.seen, frame.shape))
+            gone = [
+                one for one in state.expected if one.track_id is not None and one not in expected
             ]
-            if not may_be_there:
-                return _followed(expected, timestamp)
-            lost += [track for track in gone if track not in lost]
-        known = [one.box_filter.predict(timestamp) for one in expected if one in people]
-        found = self._finder.search(frame, job, [one.box_filter.seen for one in lost], known)
+            if not any(_may_be_there(one, frame.shape) for one in gone):
+                return [], [], expected
+            lost = list(dict.fromkeys([*lost, *gone]))
+        return self._searched(frame, timestamp, expected, lost, job)
+
+    def _searched(
+        self,
+        frame: NDArray[np.uint8],
+        timestamp: float,
+        expected: Expected,
+        lost: Sequence[Track],
+        job: Job,
+    ) -> tuple[list[Target], list[Detection], Expected]:
+        """Search a frame, with a lower threshold near people who are lost, until their tracks end.
+
+        A detection is read in the window of the track that expects a person there; a window is
+        read once.
+        """
+        places = {track: track.box_filter.predict(timestamp) for track in expected}
+        known = [box for track, box in places.items() if track.track_id is not None]
+        lost_at = [track.box_filter.seen for track in lost]
+        people, beside = self._finder.search(frame, job, lost_at, known)
         self._searched_at = timestamp
         self._scene.restart()
-        unseen = dict(expected)
-        targets: list[tuple[Target, Track | None]] = []
-        for one in found:
-            if not one.certain:
-                targets.append((Target(one.box, one.score, one), None))
-                continue
-            overlap = {track: track.box_filter.predict(timestamp).iou(one.box) for track in unseen}
-            track = max(overlap, key=lambda other: overlap[other], default=None)
-            same = track is not None and overlap[track] >= _MIN_TRACK_IOU
-            window = unseen.pop(track) if same and track else None
-            targets.append((Target(one.box, one.score, one, window), None))
-        return targets + _followed(unseen, timestamp)
+        targets, unseen = [], dict(expected)
+        for one in people:
+            near = max(unseen, key=lambda track: places[track].iou(one.box), default=None)
+            is_there = near is not None and is_expected(one.box, places[near])
+            targets.append(Target(one, unseen.pop(near) if near and is_there else None))
+        return targets, beside, unseen
 
     def _shown(
         self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
     ) -> Expected:
         """Read tracks in their windows; those that still show their people, with the readings."""
-        targets = [target for target, _ in _followed(expected, timestamp)]
+        targets = [_followed(*one, timestamp) for one in expected.items()]
         readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
         return {track: reading for track, reading in readings if reading is not None}
 
 
-def _followed(expected: Expected, timestamp: float) -> list[tuple[Target, Track | None]]:
-    """Targets of tracks at their predicted boxes."""
-    return [
-        (Target(track.box_filter.predict(timestamp), track.score, None, window), track)
-        for track, window in expected.items()
-    ]
+@dataclass(frozen=True)
+class _Followed:
+    """The tracks before a frame.
+
+    ``expected`` has windows of those seen a moment ago, ``lost`` are confirmed ones that the frame
+    before did not show, ``all_in_windows`` says that everybody is confirmed and has a window, and
+    ``may_suffice`` that the windows may show everybody there is: people who fell lie where they
+    were last seen, so they cause no search before the next one is due.
+    """
+
+    expected: Expected
+    lost: list[Track]
+    all_in_windows: bool
+    may_suffice: bool
+
+    @classmethod
+    def at(cls, timestamp: float, tracks: Sequence[Track], read_at: float) -> _Followed:
+        recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
+        expected = {one: one.next_window for one in recent if one.next_window}
+        people = [track for track in tracks if track.track_id is not None]
+        lost = [track for track in people if track.seen_at < read_at]
+        whole = len(expected) == len(recent)
+        return cls(
+            expected,
+            lost,
+            all_in_windows=len(expected) == len(people) == len(tracks) and not lost,
+            may_suffice=whole and (bool(expected) or any(track.lies_at for track in tracks)),
+        )
+
+
+def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
+    """Whether a person who is not in their window may be found by a search at once.
+
+    Not if they have left the frame, or were hardly seen behind others.
+    """
+    return not (track.beside or ends_at_border(track.box_filter.seen, frame_shape))
+
+
+def _followed(track: Track, window: PersonWindow | PoseReading, timestamp: float) -> Target:
+    """The target of a track at its predicted box."""
+    place = Detection(track.box_filter.predict(timestamp), track.score)
+    return Target(place, window, followed=True)
 
 
 # Height of the smallest wanted person where frames are compared, and their longest side. Cells are

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import lap
 import numpy as np
@@ -13,31 +13,18 @@ from numpy.typing import NDArray
 from app.estimation.posture import EstimatedPosture, PostureFilter
 from app.estimation.results import Facing, Person
 from app.tracking.actions import ActionRecogniser
-from app.tracking.appearance import Patch, appearance_distance
 from app.tracking.events import EventDetector, HipHeight, Reliability
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
+from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
+from app.vision.same_person import MAX_COST, KnownPerson
 from index.posture import PostureName
 from index.skeleton import side_rows
 
 _HIPS = side_rows("hip")
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """A person seen in a frame, not yet matched to a track.
-
-    Colours ``(80,)`` and patch are None without a photograph, colours also without a silhouette. A
-    track is known if the person was read in its window, or the caller named it.
-    """
-
-    person: Person
-    appearance: NDArray[np.float32] | None = None
-    patch: Patch | None = None
-    track: Track | None = None
 
 
 # With landmarks: the probability of a person from which a track counts as one, and the share of
@@ -54,8 +41,8 @@ _CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
 _RELIABILITY_EXPONENT = 0.25
 # Time in which a person comes to rest who is lost while falling.
 _COMES_TO_REST_S = 2.0
-# Share of the difference that corrects the known appearance.
-_APPEARANCE_GAIN = 0.1
+# Share of the difference that corrects the known colours.
+_COLOUR_GAIN = 0.1
 
 
 class Track:
@@ -65,8 +52,7 @@ class Track:
     :meth:`update` adds the poses, also of a frame in which the person is hidden and has none.
     """
 
-    def __init__(self, sighting: Sighting, timestamp: float) -> None:
-        person = sighting.person
+    def __init__(self, person: Person, timestamp: float) -> None:
         self.track_id: int | None = None
         """None until the track is confirmed."""
         self.caller_id: str | None = None
@@ -81,12 +67,12 @@ class Track:
         """Time of the last sighting, seconds."""
         self.lies_at: Box | None = None
         """Where a person lies who fell and is not seen any more; None for others."""
-        self._patch, self._rests_from = sighting.patch, -math.inf
+        self._patch, self._rests_from = person.patch, -math.inf
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
         self.beside = person.beside
         """Whether others hid the person so that this window hardly shows them."""
-        self.appearance = sighting.appearance
+        self.colours = person.colours
         self._smoother = PoseSmoother()
         self._recogniser = ActionRecogniser()
         self._event_detector = EventDetector()
@@ -113,9 +99,8 @@ class Track:
         in_training = log_odds(_PEOPLE_SHARE)
         return probability_of(log_odds(self.score) + shown_odds - in_training)
 
-    def see(self, sighting: Sighting, timestamp: float) -> None:
-        """Add where the person is in this frame."""
-        person = sighting.person
+    def see(self, person: Person, timestamp: float) -> None:
+        """Add where the person is in this frame, and how they look."""
         truncated = person.silhouette is not None and person.silhouette.truncated
         if self.sightings:
             self.box_filter.update(person.box, timestamp, whole=not truncated)
@@ -129,13 +114,17 @@ class Track:
             odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window, self.beside = person.next_window, person.beside
-        self._patch, self.lies_at = sighting.patch, None
-        if self.appearance is None:
-            self.appearance = sighting.appearance
+        self._patch, self.lies_at = person.patch, None
+        if self.colours is None:
+            self.colours = person.colours
         # A partly hidden person would take on the colours of the person in front.
-        elif sighting.appearance is not None and not truncated:
-            difference = sighting.appearance - self.appearance
-            self.appearance = self.appearance + _APPEARANCE_GAIN * difference
+        elif person.colours is not None and not truncated:
+            self.colours = self.colours + _COLOUR_GAIN * (person.colours - self.colours)
+
+    def known(self, timestamp: float) -> KnownPerson:
+        """The person as expected in a frame."""
+        boxes = self.box_filter.predict(timestamp), self.box_filter.seen
+        return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
 
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
         """Give the track an identity; return the event of a person who has entered."""
@@ -303,85 +292,28 @@ def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
     return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)
 
 
-# Distances are in sizes of the person.
-# Largest distance of a person from the predicted place: at once, its growth for each second since
-# the last sighting, and its limit.
-_NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
-# Largest ratio of two sizes of one person at once; it applies once more for each second since the
-# last sighting. A person's box shrinks within half a second in a fall towards the camera.
-_MAX_GROWTH = 1.6
-# Weights of the costs of a pair, each 0 to 1 within the limits above.
-_PLACE_WEIGHT, _OVERLAP_WEIGHT, _SIZE_WEIGHT, _APPEARANCE_WEIGHT = 0.4, 0.3, 0.2, 0.6
-# Cost of the appearance if either one is unknown.
-_UNKNOWN_APPEARANCE = 0.3
-# Factor of the cost for the track in whose window the person was read.
-_WINDOW_FACTOR = 0.5
-# At a higher cost a sighting begins a new track.
-_MAX_COST = 1.1
-
-
 def associate(
-    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
-) -> list[int | None]:
-    """The position of the track of each sighting, None for a new person.
+    tracks: Sequence[Track],
+    people: Sequence[Person],
+    timestamp: float,
+    in_window: Mapping[int, Track] | None = None,
+) -> list[Track | None]:
+    """The track of each person of a frame, None for a new one: the sum of the costs is minimal.
 
-    The sum of the costs is minimal.
+    ``in_window`` has the track in whose window a person was read, by the person's position.
     """
-    if not tracks or not sightings:
-        return [None] * len(sightings)
-    costs = _costs(tracks, sightings, timestamp)
-    _, _, assigned = lap.lapjv(costs, extend_cost=True, cost_limit=_MAX_COST)
-    return [int(row) if row >= 0 else None for row in assigned]
-
-
-def _costs(
-    tracks: Sequence[Track], sightings: Sequence[Sighting], timestamp: float
-) -> NDArray[np.float64]:
-    """Costs ``(T, S)`` of all pairs, above the maximum if both cannot be the same person."""
-    costs = np.full((len(tracks), len(sightings)), 10 * _MAX_COST)
+    if not tracks or not people:
+        return [None] * len(people)
+    shown, impossible = in_window or {}, 10 * MAX_COST
+    costs = np.empty((len(tracks), len(people)))
     for row, track in enumerate(tracks):
-        predicted, last = track.box_filter.predict(timestamp), track.box_filter.seen
-        elapsed = timestamp - track.seen_at
-        reach = min(_FAR, _NEAR + _NEAR_PER_S * elapsed)
-        max_growth = math.log(_MAX_GROWTH) * (1 + elapsed)
-        for column, sighting in enumerate(sightings):
-            box = sighting.person.box
-            away = _distance(predicted, box) / max(_size(predicted), _size(box))
-            # When a person bends quickly, the box shrinks faster than the predicted size, which is
-            # averaged over frames; the last observed box is then closer in size.
-            growth = min(_growth(predicted, box), _growth(last, box)) / max_growth
-            in_window = sighting.track is track
-            if not in_window and (away > reach or growth > 1):
-                continue
-            appearance = _UNKNOWN_APPEARANCE
-            if track.appearance is not None and sighting.appearance is not None:
-                appearance = appearance_distance(track.appearance, sighting.appearance)
-            cost = (
-                _PLACE_WEIGHT * min(1.0, away / reach)
-                + _OVERLAP_WEIGHT * (1 - predicted.iou(box))
-                + _SIZE_WEIGHT * min(1.0, growth)
-                + _APPEARANCE_WEIGHT * appearance
-            )
-            costs[row, column] = _WINDOW_FACTOR * cost if in_window else cost
-    return costs
-
-
-def _growth(before: Box, after: Box) -> float:
-    """Absolute log ratio of the sizes of two boxes."""
-    return abs(math.log(_size(after) / _size(before)))
-
-
-def _size(box: Box) -> float:
-    """Length of a body. Unlike the height, it stays the same in a fall."""
-    return max(box.width, box.height)
-
-
-def _distance(first: Box, second: Box) -> float:
-    """Pixels between the centres of two boxes."""
-    return math.hypot(
-        first.x + first.width / 2 - second.x - second.width / 2,
-        first.y + first.height / 2 - second.y - second.height / 2,
-    )
+        known = track.known(timestamp)
+        for column, person in enumerate(people):
+            is_there = shown.get(column) is track
+            cost = known.cost(person.box, person.colours, in_window=is_there)
+            costs[row, column] = min(cost, impossible)
+    _, _, rows = lap.lapjv(costs, extend_cost=True, cost_limit=MAX_COST)
+    return [tracks[row] if row >= 0 else None for row in rows]
 
 
 # Share of the difference between prediction and observation by which each is corrected.

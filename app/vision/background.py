@@ -11,7 +11,7 @@ from app.vision.geometry import Box, shrink_quickly
 from app.vision.images import turn_of
 from app.vision.masks import fill_small_holes, keep_components
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
-from app.vision.silhouettes import with_truncation
+from app.vision.truncation import with_truncation
 
 _MIN_HEIGHT_SHARE = 0.8  # Height of a region, relative to the smallest person wanted.
 _HEIGHT_PER_GAP = 12.0  # Height of that person relative to gaps closed within a body.

@@ -1,9 +1,4 @@
-"""BlazePose [1]_: the person detector, the landmark network and its mask.
-
-The detector finds large people in any orientation, each with a circle about the body. The network
-has anchors at the centres of the cells of three grids. It gives each anchor a score and the offsets
-of a box and of four points: the first is the middle of the hips, the second lies on the circle
-about the body, in the direction of the head.
+"""BlazePose [1]_: the landmark network and its mask.
 
 The landmark network reads landmarks and depth of the person in a window in one pass. The mask
 takes a second pass, of the maps that the first one leaves.
@@ -23,14 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import (
-    WINDOW_SCALE,
-    PersonWindow,
-    non_max_suppression,
-    resize,
-    sample_window,
-    transform_points,
-)
+from app.vision.geometry import WINDOW_SCALE, PersonWindow, sample_window, transform_points
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
@@ -218,92 +206,3 @@ class MaskNetwork:
         """The same reading with its mask."""
         (log_odds,) = self._network.run(*reading.mask_inputs)
         return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())
-
-
-@dataclass(frozen=True)
-class BlazePoseDetection:
-    """A body that BlazePose's detector finds.
-
-    The window is about the circle around the body; the score is not a probability.
-    """
-
-    window: PersonWindow
-    score: float
-
-
-DETECTOR_PX = 224
-"""Side of the detector's input."""
-
-ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
-"""Stride of each grid in pixels, and anchors per cell."""
-
-_ANCHORS, _ANCHOR_VALUES = 2254, 12
-_NMS_IOU = 0.3
-
-
-class BlazePoseDetector:
-    """BlazePose's person detector; thread-safe.
-
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
-    """
-
-    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
-        self._network = TfliteNetwork(
-            path,
-            [(DETECTOR_PX, DETECTOR_PX, 3)],
-            [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)],
-            threads=threads,
-            copies=copies,
-        )
-
-    def detect(self, image: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
-        """Find bodies in an image ``(H, W, 3)``, BGR; best first, in pixels of the image.
-
-        The network sees the whole image, so it finds only large people.
-        """
-        height, width = image.shape[:2]
-        factor = DETECTOR_PX / max(height, width)
-        columns, rows = max(1, round(width * factor)), max(1, round(height * factor))
-        left, top = (DETECTOR_PX - columns) // 2, (DETECTOR_PX - rows) // 2
-        padded: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
-        small = cv2.cvtColor(resize(image, columns, rows), cv2.COLOR_BGR2RGB)
-        padded[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
-        values, log_odds = self._network.run(padded)
-        scores = sigmoid(log_odds[:, 0].astype(np.float64))
-        used = np.flatnonzero(scores >= min_score)
-        boxes, points = decode_anchors(values, used)
-        kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
-        # The scale leads from pixel centres of the network's input to those of the image.
-        scale = np.array([width / columns, height / rows])
-        points = (points - [left, top]) * scale - 0.5
-        return [
-            BlazePoseDetection(PersonWindow.about_circle(*points[i, :2]), float(scores[used[i]]))
-            for i in kept
-        ]
-
-
-def decode_anchors(
-    values: NDArray[np.float32], used: NDArray[np.integer]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes ``(K, 4)`` and points ``(K, 4, 2)`` of the anchors in rows ``used`` ``(K,)``.
-
-    They are in pixels of the network's input, from the corner of the first pixel.
-    """
-    raw = values[used].astype(np.float64)
-    anchors = _ANCHOR_CENTRES[used]
-    size = raw[:, 2:4]
-    boxes = np.hstack([raw[:, :2] + anchors - size / 2, size])
-    return boxes, raw[:, 4:].reshape(-1, 4, 2) + anchors[:, None]
-
-
-def _anchor_centres() -> NDArray[np.float64]:
-    """Centres ``(2254, 2)`` of all anchors, x before y."""
-    grids = []
-    for stride, count in ANCHOR_GRIDS:
-        centres = (np.arange(DETECTOR_PX // stride) + 0.5) * stride
-        x, y = np.meshgrid(centres, centres)
-        grids.append(np.repeat(np.stack([x.ravel(), y.ravel()], axis=-1), count, axis=0))
-    return np.concatenate(grids)
-
-
-_ANCHOR_CENTRES = _anchor_centres()

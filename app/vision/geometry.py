@@ -77,6 +77,11 @@ class Box:
             max(self.right, other.right), max(self.bottom, other.bottom),
         )  # fmt: skip
 
+    def grown(self, margin: float) -> Box:
+        """The box with a margin on every side, a share of its longer side."""
+        reach = margin * max(self.width, self.height)
+        return Box(self.x - reach, self.y - reach, self.width + 2 * reach, self.height + 2 * reach)
+
     def iou(self, other: Box) -> float:
         """Intersection over union with another box, 0 to 1."""
         shared = self.intersection(other)
@@ -185,6 +190,11 @@ class PersonWindow:
         radius = max(math.hypot(right, down), _MIN_RADIUS_PX)
         roll_deg = math.degrees(math.atan2(right, -down))
         return cls(float(centre[0]), float(centre[1]), 2 * WINDOW_SCALE * radius, roll_deg)
+
+    def circle_box(self) -> Box:
+        """The upright box about the circle around the body."""
+        radius = self.side / (2 * WINDOW_SCALE)
+        return Box(self.x - radius, self.y - radius, 2 * radius, 2 * radius)
 
     def to_frame(self, pixels: int) -> NDArray[np.float64]:
         """Affine transform ``(2, 3)`` to the frame from the window at ``pixels`` a side."""

@@ -51,11 +51,6 @@ def coco_rows(*parts: str) -> list[int]:
     return [row for row, name in enumerate(COCO_NAMES) if name.endswith(parts)]
 
 
-# Keypoints of lower scores are not compared; others are in the same place within this share of the
-# person's size, and those of one person are so for this share of them, by score.
-_MIN_COMPARED_SCORE, _SAME_PLACE, _SAME_SHARE = 0.1, 0.1, 0.5
-
-
 @dataclass(frozen=True)
 class ObservedKeypoints:
     """Where a photograph shows a person's keypoints.
@@ -86,14 +81,6 @@ class ObservedKeypoints:
     def moved(self, x: float, y: float) -> ObservedKeypoints:
         """The same keypoints ``x`` pixels farther right and ``y`` farther down."""
         return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
-
-    def agree_with(self, other: ObservedKeypoints, size: float) -> bool:
-        """Whether most of the keypoints that both show lie close to one another, given a size."""
-        both = np.minimum(self.scores, other.scores)
-        weights = np.sqrt(self.scores * other.scores) * (both > _MIN_COMPARED_SCORE)
-        apart = np.linalg.norm(self.positions - other.positions, axis=1)
-        close = apart < _SAME_PLACE * size
-        return bool((weights * close).sum() >= _SAME_SHARE * weights.sum())
 
 
 NETWORK_DEPTH_SD_M = 0.15
@@ -158,16 +145,12 @@ class Detection:
         Keypoints in pixels of the frame; None if the detector finds none.
     windows : tuple of PersonWindow
         Windows in which the detector sees the whole body, the likeliest first; may be empty.
-    certain : bool
-        False where the person may be one of those close by, until a reading beside them shows
-        another one.
     """
 
     box: Box
     score: float
     keypoints: ObservedKeypoints | None = None
     windows: tuple[PersonWindow, ...] = ()
-    certain: bool = True
 
     def __post_init__(self) -> None:
         if not 0 <= self.score <= 1:

@@ -20,11 +20,10 @@ from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
     LANDMARK_NAMES,
-    Landmarks,
     ObservedKeypoints,
     coco_rows,
 )
-from app.vision.silhouettes import ends_at_border
+from app.vision.truncation import MIN_VISIBLE_SCORE, ends_at_border
 
 # If the trunk leans by an angle between these, a window that is not turned is tried as well: in
 # windows turned to a leaning trunk, the network sometimes exchanges left and right.
@@ -197,9 +196,7 @@ def without_bodies(
     Of pixels close to the limbs of both, those that are closer to the person's keypoints stay.
     """
     result = frame.copy()
-    margin = max(box.width, box.height)
-    about = Box(box.x - margin, box.y - margin, box.width + 2 * margin, box.height + 2 * margin)
-    region = about.clip(frame.shape[1], frame.shape[0])
+    region = box.grown(1.0).clip(frame.shape[1], frame.shape[0])
     assert region is not None
     left, top, right, bottom = region.pixels()
     part = result[top:bottom, left:right]
@@ -235,7 +232,6 @@ def _distance_to_limbs(
 
 
 _HIPS_TO_FEET = 1.7  # Distance from hips to feet, relative to the trunk.
-_MIN_VISIBLE_SCORE = 0.25  # Score from which a keypoint of MoveNet is visible.
 
 
 def window_beyond_border(
@@ -250,7 +246,7 @@ def window_beyond_border(
     if keypoints is None or not ends_at_border(box, frame_shape):
         return []
     nose, shoulders, hips, ankles = (
-        _mean_position(keypoints, part, _MIN_VISIBLE_SCORE)
+        _mean_position(keypoints, part, MIN_VISIBLE_SCORE)
         for part in ("nose", "shoulder", "hip", "ankle")
     )
     if hips is None or (nose is None) == (ankles is None):
@@ -357,42 +353,3 @@ def fuse(reading: PoseReading, keypoints: ObservedKeypoints) -> PoseReading:
     positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])
     landmarks = replace(reading.landmarks, positions=positions)
     return replace(reading, landmarks=landmarks, keypoints=keypoints)
-
-
-def _nearest_keypoint(landmark: str) -> int:
-    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
-    if landmark.startswith("mouth"):
-        return COCO_NAMES.index("nose")
-    side, _, part = landmark.partition("_")
-    if part.startswith("eye"):
-        part = "eye"
-    elif part in ("pinky", "index", "thumb"):
-        part = "wrist"
-    elif part in ("heel", "foot_index"):
-        part = "ankle"
-    return COCO_NAMES.index(f"{side}_{part}" if part else side)
-
-
-_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
-
-# Distance from the frame's border, in sizes of the body, within which landmarks are at most as
-# visible as MoveNet's keypoints.
-_BORDER_DISTANCE = 0.3
-
-
-def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int, ...]) -> Landmarks:
-    """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
-
-    If the border cuts off part of a body, the landmark network squeezes the whole body into the
-    visible part and reports all of it as visible. MoveNet gives low scores to what it does not see.
-    """
-    landmarks = reading.landmarks
-    if reading.keypoints is None:
-        return landmarks
-    reach = _BORDER_DISTANCE * reading.body_px
-    end = np.array([frame_shape[1], frame_shape[0]]) - 1
-    near = ((landmarks.positions < reach) | (landmarks.positions > end - reach)).any(axis=1)
-    scores = reading.keypoints.scores[_NEAREST_KEYPOINTS]
-    factors = np.minimum(1.0, scores / _MIN_VISIBLE_SCORE)
-    visibility = np.where(near, factors * landmarks.visibility, landmarks.visibility)
-    return replace(landmarks, visibility=visibility)

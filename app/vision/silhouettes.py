@@ -1,11 +1,6 @@
-"""Silhouettes of the people in a frame, and whether they are truncated.
-
-They come from the landmark network's masks or a caller's mask. A body is truncated if the frame's
-border or another person cuts it.
-"""
+"""Silhouettes of the people in a frame, from the landmark network's masks or a caller's mask."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -14,13 +9,8 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
 from app.vision.masks import LabelImage, fill_small_holes, keep_components
-from app.vision.people import (
-    LANDMARK_NAMES,
-    Landmarks,
-    Silhouette,
-    landmark_rows,
-    silhouette_from_mask,
-)
+from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
+from app.vision.truncation import extended_to_border, with_truncation
 
 
 def silhouettes_of(
@@ -38,9 +28,8 @@ def silhouettes_of(
     raises an error if the work is no longer wanted. None stands where the network did not see the
     person.
     """
-    height, width = frame_shape[:2]
     regions = [
-        _region(box if exact else _with_landmarks(box, reading), width, height)
+        _region(box if exact else _with_landmarks(box, reading), frame_shape)
         for box, reading in zip(boxes, readings, strict=True)
     ]
     found: list[Silhouette | None] = []
@@ -97,23 +86,19 @@ def _with_landmarks(box: Box, reading: PoseReading) -> Box:
     )
 
 
-# Boxes that end this close to the frame's edge are extended to it: the mask shows better than the
-# box whether the body continues.
-_EDGE_PX = 5.0
+def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:
+    """The part of a frame to cut a person out of: the mask shows where they end at the border.
 
-
-def _region(box: Box, width: int, height: int) -> Box | None:
-    """The part of a frame to cut a person out of: the box, extended to nearby edges."""
+    None for a sliver at the edge that holds no pixel.
+    """
+    height, width = frame_shape[:2]
     inside = box.clip(width, height)
     if inside is None:
         return None
     left, top, _, _ = inside.pixels()
     if left >= width or top >= height:
-        return None  # A sliver at the edge holds no pixel.
-    sides = np.array([inside.x, inside.y, inside.right, inside.bottom])
-    edges = np.array([-0.5, -0.5, width - 0.5, height - 0.5])
-    near = np.abs(sides - edges) <= _EDGE_PX
-    return Box.from_edges(*np.where(near, edges, sides).tolist())
+        return None
+    return extended_to_border(inside, frame_shape)
 
 
 _MAX_SIDE_PX = 384  # Largest size at which masks are drawn and cleaned.
@@ -167,106 +152,3 @@ def _probability(
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     assert reading.probability is not None
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
-
-
-def with_truncation(
-    silhouettes: Sequence[Silhouette | None],
-    boxes: Sequence[Box],
-    frame_shape: tuple[int, ...],
-) -> list[Silhouette | None]:
-    """Set the flag ``truncated`` of the silhouettes of one frame.
-
-    The people's boxes stand in for missing silhouettes.
-    """
-    people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
-    result: list[Silhouette | None] = []
-    for row, silhouette in enumerate(silhouettes):
-        if silhouette is not None:
-            others = people[:row] + people[row + 1 :]
-            is_cut = touches_border(silhouette, frame_shape)
-            is_cut = is_cut or hidden_by_others(silhouette, others)
-            silhouette = replace(silhouette, truncated=is_cut)
-        result.append(silhouette)
-    return result
-
-
-# A silhouette ends at an edge if it is as near as this many pixels, or this share of its longer
-# side: silhouettes are no more precise. These numbers and the ones below were chosen on
-# even-numbered photographs, see docs/history.md.
-_BORDER_PX = 1.0
-_BORDER_SHARE = 0.01
-# Share of its extent along an edge above which a silhouette is cut: a shoe that just reaches the
-# last row is not.
-_MIN_BORDER_RUN = 0.1
-
-
-def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool:
-    """Whether a silhouette runs along the frame's border; a caller's mask is exact to the pixel."""
-    crop = silhouette.crop
-    near = max(_BORDER_PX, _BORDER_SHARE * max(crop.shape))
-    if silhouette.segmenter == "mask":
-        near = 0.0
-    # The crop as seen from each edge; the first columns are nearest to it.
-    views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
-    return any(
-        gap <= near and view[:, : int(near - gap) + 1].any(axis=1).mean() > _MIN_BORDER_RUN
-        for gap, view in zip(gaps_to_border(silhouette.box, frame_shape), views, strict=True)
-    )
-
-
-_HEAD = [LANDMARK_NAMES.index("nose"), *landmark_rows("eye", "ear")]
-_FEET = landmark_rows("ankle")
-_MIN_SEEN = 0.3  # Visibility from which a landmark is seen.
-
-
-def end_beyond_border(box: Box, landmarks: Landmarks, frame_shape: tuple[int, ...]) -> bool:
-    """Whether the frame cuts off a person's head or feet, so that no landmark of it is seen."""
-    height, width = frame_shape[:2]
-    inside = ((landmarks.positions > -0.5) & (landmarks.positions < [width, height])).all(axis=1)
-    seen = inside & (landmarks.visibility >= _MIN_SEEN)
-    is_whole = seen[_HEAD].any() and seen[_FEET].any()
-    return ends_at_border(box, frame_shape) and not is_whole
-
-
-# Distance from the frame's edge within which it may cut a box, as a share of the longer side.
-_UNSEEN_END_SHARE = 0.05
-
-
-def ends_at_border(box: Box, frame_shape: tuple[int, ...]) -> bool:
-    """Whether a person's box ends so near the frame's edge that it may cut them."""
-    reach = _UNSEEN_END_SHARE * max(box.width, box.height)
-    return min(gaps_to_border(box, frame_shape)) <= reach
-
-
-def gaps_to_border(box: Box, frame_shape: tuple[int, ...]) -> tuple[float, float, float, float]:
-    """Pixels between a box and the frame's left, upper, right and lower edge."""
-    height, width = frame_shape[:2]
-    return box.x + 0.5, box.y + 0.5, width - 0.5 - box.right, height - 0.5 - box.bottom
-
-
-_MAX_COVER = 0.05  # Share of a whole person's box that a nearer person may cover.
-_BOX_FILL = 0.5  # Share of a box that a person without a silhouette fills.
-
-
-def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box]) -> bool:
-    """Whether a nearer person, one whose feet are lower in the frame, covers part of this one."""
-    box = silhouette.box
-    for other in others:
-        other_box = other.box if isinstance(other, Silhouette) else other
-        if other_box.bottom <= box.bottom or box.intersection(other_box) == 0:
-            continue
-        if isinstance(other, Silhouette):
-            covered = _pixels_inside(other, box)
-        else:
-            covered = _BOX_FILL * box.intersection(other_box)
-        if covered > _MAX_COVER * box.area:
-            return True
-    return False
-
-
-def _pixels_inside(silhouette: Silhouette, box: Box) -> float:
-    """Number of a silhouette's pixels inside a box."""
-    left, top, right, bottom = box.pixels()
-    rows = slice(max(0, top - silhouette.top), max(0, bottom - silhouette.top))
-    columns = slice(max(0, left - silhouette.left), max(0, right - silhouette.left))
-    return float(np.count_nonzero(silhouette.crop[rows, columns]))

@@ -25,7 +25,7 @@ from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, Trust, load_photograph_models
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
-from app.vision.person_reader import attenuate_visibility_at_border
+from app.vision.truncation import attenuate_visibility_at_border
 from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
     HIPS,
@@ -173,8 +173,7 @@ def shrunk(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def read(networks: Models, shown: Shown) -> list[PoseReading]:
     """Read the people of a frame, the largest first, as the service does."""
-    found = [Detection(shown.box, 1.0)] if shown.box else networks.detector.detect(shown.frame)
-    found = [one for one in found if one.certain]
+    found = [Detection(shown.box, 1.0)] if shown.box else networks.detector.detect(shown.frame)[0]
     readings = [
         networks.reader.read(shown.frame, one.box, one.keypoints, one.windows)
         for one in sorted(found, key=lambda one: -one.box.area)

@@ -17,7 +17,7 @@ from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.odds import logit, sigmoid
 from app.vision.optics import PinholeCamera
-from app.vision.people import Silhouette
+from app.vision.people import Detection, Silhouette
 from descriptor.silhouette import normalise
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import LIMB_ROWS, wrap_degrees
@@ -125,11 +125,10 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     camera = PinholeCamera.of_frame(shown.frame.shape)
     if way != SILHOUETTE:
         decoded = estimator.decode(Upload(shown.frame), Job())
-        (seen,) = estimator.finder.observe(
-            decoded, [Target(shown.box)], Job(), "boxes", cut=lambda _: [shown.silhouette]
+        target = Target(Detection(shown.box, 1.0))
+        (person,), _ = estimator.finder.observe(
+            decoded, [target], Job(), "boxes", cut=lambda _: [shown.silhouette]
         )
-        assert seen is not None
-        person = seen
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.normalised_landmarks() is None:

@@ -38,7 +38,7 @@ class ColourDetector:
 
     def detect(
         self, frame: NDArray[np.uint8], lost: Sequence[Box] = (), known: Sequence[Box] = ()
-    ) -> list[Detection]:
+    ) -> tuple[list[Detection], list[Detection]]:
         self.searches += 1
         boxes = []
         for colour in () if self.blind else COLOURS:
@@ -48,7 +48,7 @@ class ColourDetector:
                 room = self.room
                 box = Box(left - 0.5 - room, top - 0.5, width + 2 * room, height)
                 boxes.append(Detection(box, 0.9))
-        return boxes
+        return boxes, []
 
 
 class ColourReader:

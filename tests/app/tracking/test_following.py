@@ -15,7 +15,7 @@ from app.tracking.following import (
     STILL_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
-from app.tracking.track import Sighting, Track
+from app.tracking.track import Track
 from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
 from tests.conftest import png
 from tests.golden import pictures
@@ -57,11 +57,11 @@ def test_a_person_who_was_hardly_seen_behind_others_is_not_searched_for_at_once(
         drawn.decode(Upload(draw(*who)), Job()) for who in (((0, 10), (1, 200)), ((1, 200),))
     )
     tracks = []
-    for number, found in enumerate(people.find(both, 0.0, [], Job())):
-        tracks.append(Track(replace(found, person=replace(found.person, beside=beside)), 0.0))
+    for number, found in enumerate(people.find(both, 0.0, [], Job())[0]):
+        tracks.append(Track(replace(found, beside=beside), 0.0))
         tracks[-1].confirm(number, 0.0, ())
     detector.searches = 0
-    assert len(people.find(one, 0.1, tracks, Job())) == 1
+    assert len(people.find(one, 0.1, tracks, Job())[0]) == 1
     assert detector.searches == (0 if beside else 1)
 
 
@@ -87,14 +87,15 @@ def followed(
     """
     people = TrackedPeopleDetector(drawn.finder)
     before, now = (drawn.decode(Upload(draw((0, x))), Job()) for x in (100, left))
-    (first,) = people.find(before, 0.0, [], Job())
-    assert first.track is None
-    boxes = [replace(first.person.box, x=place) for place in expected_at]
-    tracks = [Track(Sighting(replace(first.person, box=box)), 0.0) for box in boxes]
+    (first,), in_window = people.find(before, 0.0, [], Job())
+    assert not in_window
+    boxes = [replace(first.box, x=place) for place in expected_at]
+    tracks = [Track(replace(first, box=box), 0.0) for box in boxes]
     for number, track in enumerate(tracks):
         track.track_id = number if confirmed else None
-    sightings = people.find(now, time, tracks, Job())
-    return [None if one.track is None else tracks.index(one.track) for one in sightings]
+    found, in_window = people.find(now, time, tracks, Job())
+    led = [in_window.get(row) for row in range(len(found))]
+    return [None if track is None else tracks.index(track) for track in led]
 
 
 def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> None:
@@ -132,12 +133,12 @@ def test_for_a_person_who_fell_and_is_not_seen_searches_come_at_their_interval(
 ) -> None:
     people = TrackedPeopleDetector(drawn.finder)
     shown, empty = (drawn.decode(Upload(draw(*them)), Job()) for them in (((0, 100),), ()))
-    (sighting,) = people.find(shown, 0.0, [], Job())
-    track = Track(sighting, 0.0)
-    track.track_id, track.lies_at = 1, sighting.person.box
+    (person,), _ = people.find(shown, 0.0, [], Job())
+    track = Track(person, 0.0)
+    track.track_id, track.lies_at = 1, person.box
     detector.searches = 0
     for step in range(100, 200):  # Ten seconds, later.
-        assert people.find(empty, step / 10, [track], Job()) == []
+        assert people.find(empty, step / 10, [track], Job()) == ([], {})
     assert 20 <= detector.searches <= 10 / SEARCH_EVERY_S
 
 
@@ -240,14 +241,13 @@ def test_unconfirmed_tracks_are_searched_for_in_a_still_scene(
 ) -> None:
     people = TrackedPeopleDetector(drawn.finder)
     frame = drawn.decode(Upload(draw((0, 100))), Job())
-    tracks = [Track(one, 0.0) for one in people.find(frame, 0.0, [], Job())]
+    tracks = [Track(one, 0.0) for one in people.find(frame, 0.0, [], Job())[0]]
     for step in range(1, 31):
         if step == 15:
             detector.searches = 0
-        for track, sighting in zip(
-            tracks, people.find(frame, step / 5, tracks, Job()), strict=True
-        ):
-            track.see(sighting, step / 5)
+        found, _ = people.find(frame, step / 5, tracks, Job())
+        for track, person in zip(tracks, found, strict=True):
+            track.see(person, step / 5)
     assert detector.searches >= 6
 
 

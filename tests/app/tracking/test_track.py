@@ -1,4 +1,4 @@
-"""One person over time: where they are expected, when they count, which sightings are theirs."""
+"""One person over time: where they are expected, when they count, who of a frame they are."""
 
 from dataclasses import replace
 
@@ -7,14 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from app.tracking.appearance import Patch, appearance_distance, appearance_histogram
-from app.tracking.track import (
-    BoxFilter,
-    Sighting,
-    Track,
-    associate,
-)
+from app.tracking.track import BoxFilter, Track, associate
 from app.tracking.zones import Zone
+from app.vision.appearance import Patch, colour_distance, colours_of
 from app.vision.geometry import Box
 from app.vision.judgement import Trust
 from app.vision.people import Silhouette
@@ -23,16 +18,15 @@ from tests.app.tracking.people import person_of, seen_from
 BOX = Box(100, 100, 30, 80)
 
 
-def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Sighting:
+def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Person:
     trust = None if person is None else Trust(person, right=person / 2)
-    observed = Person(BOX, "detector", score, None, trust=trust)
-    return Sighting(replace(observed, **fields))  # type: ignore[arg-type]
+    return replace(Person(BOX, "detector", score, trust=trust), **fields)  # type: ignore[arg-type]
 
 
-def track_of(*sightings: Sighting) -> Track:
-    track = Track(sightings[0], 0.0)
-    for number, sighting in enumerate(sightings):
-        track.see(sighting, number / 10)
+def track_of(*seen: Person) -> Track:
+    track = Track(seen[0], 0.0)
+    for number, person in enumerate(seen):
+        track.see(person, number / 10)
     return track
 
 
@@ -61,7 +55,7 @@ class TestBoxFilter:
 
 
 @pytest.mark.parametrize(
-    ("sightings", "confirmed"),
+    ("seen", "confirmed"),
     [
         ([detected(0.6)], True),
         ([detected(None, source="boxes")], True),
@@ -78,9 +72,9 @@ class TestBoxFilter:
     ],
 )
 def test_confirmed_by_the_detector_and_by_what_the_windows_show(
-    sightings: list[Sighting], confirmed: bool
+    seen: list[Person], confirmed: bool
 ) -> None:
-    assert track_of(*sightings).is_confirmed == confirmed
+    assert track_of(*seen).is_confirmed == confirmed
 
 
 def test_a_chair_counts_as_a_person_once_somebody_has_sat_on_it_for_a_while() -> None:
@@ -94,22 +88,22 @@ def test_a_chair_counts_as_a_person_once_somebody_has_sat_on_it_for_a_while() ->
 def test_the_appearance_follows_those_who_are_whole() -> None:
     red, blue = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
     whole, cut = (Silhouette(np.ones((80, 30), bool), 100, 100, "mask", t) for t in (False, True))
-    track = track_of(detected(), replace(detected(silhouette=cut), appearance=red))
-    assert track.appearance is not None and track.appearance[3] == 1
-    track.see(replace(detected(silhouette=cut), appearance=blue), 0.2)
-    assert track.appearance[40] == 0
-    track.see(replace(detected(silhouette=whole), appearance=blue), 0.3)
-    assert track.appearance[40] == pytest.approx(0.1)
+    track = track_of(detected(), detected(silhouette=cut, colours=red))
+    assert track.colours is not None and track.colours[3] == 1
+    track.see(detected(silhouette=cut, colours=blue), 0.2)
+    assert track.colours[40] == 0
+    track.see(detected(silhouette=whole, colours=blue), 0.3)
+    assert track.colours[40] == pytest.approx(0.1)
 
 
 def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
     corridor = Zone("corridor", "watch", np.array([[0.0, 0], [400, 0], [400, 400], [0, 400]]))
     person = person_of([seen_from(0.0)], [0.9], postures=["arms_raised"])
-    track = Track(Sighting(person), 0.0)
+    track = Track(person, 0.0)
     track.caller_id = "17"
     events = [track.confirm(4, 0.0, [corridor])]
     for step in range(20):
-        track.see(Sighting(person), step / 10)
+        track.see(person, step / 10)
         tracked, new = track.update(person, step / 10, [corridor])
         events += new
         assert tracked.pose is not None
@@ -126,7 +120,7 @@ def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
 def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() -> None:
     person = person_of([seen_from(0.0)], [0.9])
     hidden = replace(person, facing=None, posture=None, hypotheses=())
-    track = track_of(Sighting(person))
+    track = track_of(person)
     track.confirm(1, 0.0, [])
     shown, _ = track.update(person, 0.0)
     kept, _ = track.update(hidden, 0.5)
@@ -143,25 +137,25 @@ def test_only_a_confirmed_track_has_results() -> None:
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
 
 
-def sighting(box: Box, appearance: NDArray[np.float32] | None = None) -> Sighting:
-    return Sighting(Person(box, "detector", 0.9, None), appearance)
+def seen(box: Box, colours: NDArray[np.float32] | None = None) -> Person:
+    return Person(box, "detector", 0.9, colours=colours)
 
 
-def at(x: float, appearance: NDArray[np.float32] | None = None) -> Sighting:
+def at(x: float, colours: NDArray[np.float32] | None = None) -> Person:
     """A person 80 px tall."""
-    return sighting(Box(x, 100.0, 30, 80), appearance)
+    return seen(Box(x, 100.0, 30, 80), colours)
 
 
-def walking(x: float, speed: float, appearance: NDArray[np.float32] | None = None) -> Track:
+def walking(x: float, speed: float, colours: NDArray[np.float32] | None = None) -> Track:
     """A track seen for a second up to time 1, at ``x`` then, in pixels a second to the right."""
-    track = Track(at(x - speed, appearance), 0.0)
+    track = Track(at(x - speed, colours), 0.0)
     for step in range(11):
-        track.see(at(x - speed + speed * step / 10, appearance), step / 10)
+        track.see(at(x - speed + speed * step / 10, colours), step / 10)
     return track
 
 
 @pytest.mark.parametrize(
-    ("tracks", "sightings", "time", "expected"),
+    ("tracks", "people", "time", "expected"),
     [
         ([], [], 1.0, []),
         ([], [at(10)], 1.0, [None]),
@@ -171,7 +165,7 @@ def walking(x: float, speed: float, appearance: NDArray[np.float32] | None = Non
         # A new person.
         ([walking(100, 0)], [at(400), at(101)], 1.1, [None, 0]),
         # Nobody grows at once: a child.
-        ([walking(100, 0)], [sighting(Box(108, 140, 14, 40))], 1.1, [None]),
+        ([walking(100, 0)], [seen(Box(108, 140, 14, 40))], 1.1, [None]),
         # A person unseen for longer may be farther away.
         ([walking(100, 0)], [at(180)], 1.1, [None]),
         ([walking(100, 0)], [at(180)], 2.9, [0]),
@@ -179,41 +173,43 @@ def walking(x: float, speed: float, appearance: NDArray[np.float32] | None = Non
         ([walking(100, 0, RED), walking(110, 0, BLUE)], [at(103, BLUE), at(107, RED)], 1.1, [1, 0]),
     ],
 )
-def test_sightings_are_assigned_by_place_size_and_clothes(
-    tracks: list[Track], sightings: list[Sighting], time: float, expected: list[int | None]
+def test_people_are_assigned_by_place_size_and_clothes(
+    tracks: list[Track], people: list[Person], time: float, expected: list[int | None]
 ) -> None:
-    assert associate(tracks, sightings, time) == expected
+    assert associate(tracks, people, time) == [
+        None if row is None else tracks[row] for row in expected
+    ]
 
 
 def test_the_window_of_a_track_counts_even_far_from_its_prediction() -> None:
     tracks = [walking(100, 0), walking(160, 0)]
-    assert associate(tracks, [at(170)], 1.1) == [1]
-    assert associate(tracks, [replace(at(170), track=tracks[0])], 1.1) == [0]
+    assert associate(tracks, [at(170)], 1.1) == [tracks[1]]
+    assert associate(tracks, [at(170)], 1.1, {0: tracks[0]}) == [tracks[0]]
 
 
 def test_a_person_who_bends_fast_stays_the_same() -> None:
     """Boxes of UP-Fall at six frames a second: the predicted size lags behind."""
     first, second, third = map(
-        sighting, (Box(317, 166, 70, 293), Box(266, 266, 130, 195), Box(253, 300, 157, 158))
+        seen, (Box(317, 166, 70, 293), Box(266, 266, 130, 195), Box(253, 300, 157, 158))
     )
     track = Track(first, 0.0)
     for number in range(1, 6):
         track.see(first, number / 6)
     track.see(second, 1.0)
-    assert associate([track], [third], 1 + 1 / 6) == [0]
+    assert associate([track], [third], 1 + 1 / 6) == [track]
 
 
 def test_a_person_who_falls_unseen_is_found_again_though_much_smaller() -> None:
     """Boxes of a fall in a care home; a third of a second lies between the last two."""
     first, second, third = map(
-        sighting, (Box(364, 33, 128, 217), Box(343, 28, 169, 208), Box(368, 104, 123, 118))
+        seen, (Box(364, 33, 128, 217), Box(343, 28, 169, 208), Box(368, 104, 123, 118))
     )
     track = Track(first, 0.0)
     for number in range(1, 6):
         track.see(first, 0.08 * number)
     track.see(second, 0.48)
     assert associate([track], [third], 0.50) == [None]
-    assert associate([track], [third], 0.80) == [0]
+    assert associate([track], [third], 0.80) == [track]
 
 
 def test_clothes_of_two_people_differ() -> None:
@@ -222,12 +218,11 @@ def test_clothes_of_two_people_differ() -> None:
     frame[10:50, 40:60] = (200, 20, 20)
     crop = np.ones((40, 20), bool)
     red, blue = (
-        appearance_histogram(frame, Silhouette(crop, left, 10, "network", False))
-        for left in (10, 40)
+        colours_of(frame, Silhouette(crop, left, 10, "network", False)) for left in (10, 40)
     )
     assert red.shape == (80,) and red.sum() == pytest.approx(1)
-    assert appearance_distance(red, red) == pytest.approx(0, abs=1e-3)
-    assert appearance_distance(red, blue) > 0.6
+    assert colour_distance(red, red) == pytest.approx(0, abs=1e-3)
+    assert colour_distance(red, blue) > 0.6
 
 
 def test_a_patch_is_shown_until_its_person_moves() -> None:

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import BlazePoseDetector, LandmarkNetwork, MaskNetwork
+from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
+from app.vision.detectors.blazepose import BlazePoseDetector
+from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
@@ -26,14 +28,14 @@ def moved(box: Box, x: float, y: float) -> Box:
 
 
 def found_share(detector: NetworkDetector, frame: NDArray[np.uint8], people: list[Box]) -> float:
-    boxes = [one.box for one in detector.detect(frame)]
+    boxes = [one.box for one in detector.detect(frame)[0]]
     return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
 
 
 def scores_of(
     detector: NetworkDetector, frame: NDArray[np.uint8], *expected: Box
 ) -> dict[Box, float]:
-    return {one.box: one.score for one in detector.detect(frame, expected)}
+    return {one.box: one.score for one in detector.detect(frame, expected)[0]}
 
 
 @pytest.fixture(scope="session")
@@ -91,9 +93,8 @@ def make_network_detector(
     landmark_network: LandmarkNetwork,
     objects: ObjectNetwork,
 ) -> Callable[..., NetworkDetector]:
-    return lambda **limits: NetworkDetector(
-        movenet, body_detector, landmark_network, objects, **limits
-    )
+    detectors = MoveNetDetector(movenet), body_detector
+    return lambda **limits: NetworkDetector(detectors, landmark_network, objects, **limits)
 
 
 @pytest.fixture(scope="session")

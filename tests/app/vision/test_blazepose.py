@@ -1,21 +1,14 @@
 """BlazePose's detector and landmark network, however the frame is rotated."""
 
-import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.vision.blazepose import (
-    ANCHOR_GRIDS,
-    DETECTOR_PX,
     LANDMARK_PX,
-    BlazePoseDetector,
     LandmarkNetwork,
     MaskNetwork,
-    decode_anchors,
     sample_map,
 )
 from app.vision.geometry import Box, PersonWindow, transform_points
@@ -105,76 +98,6 @@ def test_windows_without_a_person_have_a_low_presence(
         reading = landmark_network.read(frame, window)
         assert reading.presence < 0.5
         assert np.isfinite(reading.landmarks.positions).all()
-
-
-@given(seed=st.integers(0, 9999), count=st.integers(0, 12))
-def test_anchors_are_decoded_like_one_by_one(seed: int, count: int) -> None:
-    centres = [
-        ((column + 0.5) * stride, (row + 0.5) * stride)
-        for stride, per_cell in ANCHOR_GRIDS
-        for row in range(DETECTOR_PX // stride)
-        for column in range(DETECTOR_PX // stride)
-        for _ in range(per_cell)
-    ]
-    rng = np.random.default_rng(seed)
-    values = rng.normal(0, 50, (len(centres), 12)).astype(np.float32)
-    used = rng.choice(len(centres), count, replace=False)
-    boxes, points = decode_anchors(values, used)
-    assert boxes.shape == (count, 4) and points.shape == (count, 4, 2)
-    for box, four, anchor in zip(boxes, points, used, strict=True):
-        x, y = centres[anchor]
-        dx, dy, width, height, *offsets = values[anchor].astype(float).tolist()
-        assert_allclose(box, [x + dx - width / 2, y + dy - height / 2, width, height])
-        assert_allclose(four, np.add([x, y], np.reshape(offsets, (4, 2))))
-
-
-@pytest.fixture(scope="module")
-def large_walker(street: NDArray[np.uint8], walkers: list[Box]) -> NDArray[np.uint8]:
-    """A walker who fills much of a frame of 300x300."""
-    box = walkers[2]
-    left, top = round(box.x + box.width / 2) - 75, round(box.y) - 30
-    part = street[top : top + 150, left : left + 150]
-    return np.ascontiguousarray(np.kron(part, np.ones((2, 2, 1), np.uint8)))
-
-
-@pytest.mark.parametrize("quarter_turns", range(4))
-def test_body_is_detected_in_any_orientation(
-    body_detector: BlazePoseDetector, large_walker: NDArray[np.uint8], quarter_turns: int
-) -> None:
-    here = body_detector.detect(large_walker, 0.3)[0].window
-    rotated = np.ascontiguousarray(np.rot90(large_walker, quarter_turns))
-    there = body_detector.detect(rotated, 0.3)[0].window
-    expected = rotate_points(np.array([here.x, here.y]), large_walker.shape, quarter_turns)
-    assert np.hypot(*(expected - [there.x, there.y])) < 0.08 * here.side
-    assert there.side == pytest.approx(here.side, rel=0.2)
-    # Counterclockwise quarter turns.
-    off = there.roll_deg - here.roll_deg + 90 * quarter_turns
-    assert abs((off + 180) % 360 - 180) < 20
-
-
-@pytest.mark.parametrize("size", [(300, 300), (900, 900), (300, 500), (450, 300)])
-def test_body_is_in_the_same_place_in_a_frame_of_any_size(
-    body_detector: BlazePoseDetector, large_walker: NDArray[np.uint8], size: tuple[int, int]
-) -> None:
-    """Larger, or with black on the right or below."""
-    factor = max(1, min(size) // 300)
-    large = cv2.resize(large_walker, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-    frame = np.zeros((*size, 3), np.uint8)
-    frame[: large.shape[0], : large.shape[1]] = large
-    here = body_detector.detect(large_walker, 0.3)[0].window
-    there = body_detector.detect(frame, 0.3)[0].window
-    expected = factor * (np.array([here.x, here.y]) + 0.5) - 0.5
-    assert np.hypot(*(expected - [there.x, there.y])) < 0.08 * factor * here.side
-
-
-def test_bodies_come_best_first_down_to_the_minimum(
-    body_detector: BlazePoseDetector, large_walker: NDArray[np.uint8]
-) -> None:
-    every, sure = (
-        [body.score for body in body_detector.detect(large_walker, least)] for least in (0.01, 0.3)
-    )
-    assert every == sorted(every, reverse=True)
-    assert sure == [score for score in every if score >= 0.3]
 
 
 def test_maps_are_seen_in_the_middle_of_their_cells() -> None:

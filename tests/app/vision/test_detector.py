@@ -1,31 +1,23 @@
 """Detection: one box for each person, tiles, expected people, and the fitted probability."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import BlazePoseDetection, BlazePoseDetector, LandmarkNetwork
-from app.vision.detector import (
-    MAX_FINE_PX,
-    MAX_FINE_SIDE_PX,
-    MAX_TILE_PX,
-    MIN_GAIN,
-    MIN_PERSON_PX,
-    MIN_SIDE_PX,
-    OVERVIEW_PX,
-    NetworkDetector,
-    Tile,
-    detection_odds,
-    tiles_of,
+from app.vision.blazepose import LandmarkNetwork
+from app.vision.detector import NetworkDetector, detection_odds
+from app.vision.detectors.movenet import MoveNetDetector
+from app.vision.detectors.tiles import (
+    Picture,
 )
 from app.vision.geometry import Box
 from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
+from app.vision.people import Detection
 from app.vision.rescoring import ObjectNetwork
 from tests.app.vision.conftest import found_share, moved, scores_of
 
@@ -50,7 +42,7 @@ def test_walkers_are_detected_and_nothing_else(
 def test_blank_frames_hold_nobody(
     detector: NetworkDetector, shape: tuple[int, ...], level: int
 ) -> None:
-    assert detector.detect(np.full(shape, level, np.uint8)) == []
+    assert detector.detect(np.full(shape, level, np.uint8)) == ([], [])
 
 
 def test_scores_below_the_minimum_are_left_out(
@@ -60,7 +52,7 @@ def test_scores_below_the_minimum_are_left_out(
     assert len(everyone) > 2
     some = make_network_detector(min_score=everyone[1][1])
     assert list(scores_of(some, street).items()) == everyone[:2]
-    assert make_network_detector(min_score=1.0).detect(street) == []
+    assert make_network_detector(min_score=1.0).detect(street)[0] == []
 
 
 def test_impossible_limits_are_refused(make_network_detector: Make) -> None:
@@ -79,7 +71,7 @@ def test_each_person_of_a_crowd_is_detected_once(
               for box in walkers]  # fmt: skip
     detector, frame = make_network_detector(min_person_px=40), np.tile(street, (2, 3, 1))
     assert found_share(detector, frame, people) > 0.9
-    boxes = [one.box for one in detector.detect(frame) if one.certain]
+    boxes = [one.box for one in detector.detect(frame)[0]]
     for number, box in enumerate(boxes):
         assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
 
@@ -92,7 +84,7 @@ def test_person_across_two_tiles_is_detected_once(
     left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
     frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
     frame[200:330, x : x + 64] = street[top : top + 130, left : left + 64]
-    found = make_network_detector(min_person_px=40).detect(frame)
+    found, _ = make_network_detector(min_person_px=40).detect(frame)
     expected = moved(walkers[1], x - left, 200 - top)
     assert [one.box.iou(expected) > 0.6 for one in found] == [True]
 
@@ -109,13 +101,8 @@ def test_expected_person_is_detected_more_readily(
     assert scores_of(detector, street, Box(0, 0, 10, 20)) == before
 
 
-class SeesNobody(BlazePoseDetector):
-    """Detects nobody, so that MoveNet is on its own."""
-
-    def __init__(self) -> None:
-        """Read no file."""
-
-    def detect(self, frame: NDArray[np.uint8], min_score: float) -> list[BlazePoseDetection]:
+class SeesNobody:
+    def detect(self, picture: Picture) -> list[Detection]:
         return []
 
 
@@ -127,7 +114,8 @@ def test_second_detector_only_adds(
     street: NDArray[np.uint8],
 ) -> None:
     with_both = scores_of(detector, street)
-    found = NetworkDetector(movenet, SeesNobody(), landmark_network, objects).detect(street)
+    alone = NetworkDetector([MoveNetDetector(movenet), SeesNobody()], landmark_network, objects)
+    found, _ = alone.detect(street)
     assert found
     for one in found:
         assert with_both[one.box] >= one.score
@@ -146,80 +134,3 @@ def test_probability_never_falls_with_a_score(
     ]
     first, *others = sigmoid(detection_odds(np.array(scores))).tolist()
     assert 0 <= first <= min(others) <= 1
-
-
-people = st.integers(16, 400)
-sides = st.integers(1, 6000)
-
-
-def seen_px(tiles: list[Tile]) -> int:
-    """Pixels that MoveNet sees."""
-    return sum(math.prod(tile.size) for tile in tiles)
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_tiles_cover_the_frame_and_stay_within_it(
-    width: int, height: int, min_person_px: int
-) -> None:
-    tiles = tiles_of(width, height, min_person_px)
-    assume(tiles)
-    assert tiles[0].rect == (0, 0, width, height)
-    for tile in tiles:
-        left, top, columns, rows = tile.rect
-        assert left >= 0 and top >= 0 and left + columns <= width and top + rows <= height
-    # Tiles are a grid, so along each side their spans must leave no gap.
-    for first, side in ((0, width), (1, height)):
-        covered = 0
-        for start, length in sorted({tile.rect[first::2] for tile in tiles[1:]}):
-            assert start <= covered
-            covered = max(covered, start + length)
-        assert len(tiles) == 1 or covered == side
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_overview_and_tiles_are_within_their_bounds(
-    width: int, height: int, min_person_px: int
-) -> None:
-    whole, *tiles = tiles_of(width, height, min_person_px) or [Tile((0, 0, 1, 1), 1.0)]
-    long_px, short_px = OVERVIEW_PX
-    assert max(whole.size) <= long_px and min(whole.size) <= short_px
-    for tile in tiles:
-        columns, rows = tile.size
-        # Tiles end on whole pixels of the frame: up to two more on each side after resizing.
-        more = 2 * max(tile.factor, 1)
-        assert (columns - more) * (rows - more) <= MAX_TILE_PX
-        assert max(columns, rows) <= MAX_FINE_SIDE_PX + more
-
-
-@given(width=sides, height=sides, min_person_px=people)
-def test_smallest_wanted_person_is_seen_large_enough(
-    width: int, height: int, min_person_px: int
-) -> None:
-    whole, tiles = tiles_of(width, height), tiles_of(width, height, min_person_px)
-    assert tiles[:1] == whole
-    assume(tiles)
-    if min_person_px * whole[0].factor >= MIN_PERSON_PX:
-        assert tiles == whole
-    finest = max(tile.factor for tile in tiles)
-    assert min(width, height) * finest >= MIN_SIDE_PX * (1 - 1e-9)
-    wanted = min(
-        MIN_PERSON_PX / min_person_px,
-        MAX_FINE_SIDE_PX / max(width, height),
-        math.sqrt(MAX_FINE_PX / (width * height)),
-    )
-    assert finest * MIN_GAIN >= wanted * (1 - 1e-9)
-    # Nor finer than that, but for the overview.
-    assert finest <= max(wanted, tiles[0].factor) * (1 + 1e-9)
-
-
-@given(width=st.integers(1, 10**7), height=st.integers(1, 10**7), min_person_px=people)
-def test_frames_of_any_size_take_a_bounded_time(
-    width: int, height: int, min_person_px: int
-) -> None:
-    tiles = tiles_of(width, height, min_person_px)
-    assert seen_px(tiles) <= 2 * MAX_FINE_PX + math.prod(OVERVIEW_PX)
-
-
-@pytest.mark.parametrize("frame", [(2000, 2), (2, 2000), (10**6, 12), (1, 1), (7, 7)])
-def test_thin_frames_are_not_searched(frame: tuple[int, int]) -> None:
-    assert tiles_of(*frame, 50) == []

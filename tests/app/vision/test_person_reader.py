@@ -21,13 +21,13 @@ from app.vision.people import (
 from app.vision.person_reader import (
     AGREEMENT_DISTANCE,
     PersonReader,
-    attenuate_visibility_at_border,
     fuse,
     reading_quality,
     trunk_roll_deg,
     window_beyond_border,
     without_bodies,
 )
+from app.vision.truncation import attenuate_visibility_at_border
 
 
 @pytest.fixture(scope="module")

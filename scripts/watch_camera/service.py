@@ -6,8 +6,8 @@ from urllib.parse import SplitResult, urlencode
 
 import cv2
 
-from app.bridge.common import Connection, RefusedError, UnavailableError
-from app.bridge.source import Frame
+from scripts.watch_camera.common import Connection, RefusedError, UnavailableError
+from scripts.watch_camera.source import Frame
 
 _TIMEOUT_S = 20.0
 

@@ -1,4 +1,4 @@
-"""What a picture shows of a person: colours that tell people apart, and their place."""
+"""How a person looks in a frame: the colours of their clothes, and a picture of their place."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from app.vision.people import Silhouette
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 
 
-def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
+def colours_of(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
     """Colours ``(2 * 40,)`` of the upper and lower half of a person in a frame, BGR.
 
     They are histograms of hue by saturation, and of brightness, for each half; they sum to 1.
@@ -33,7 +33,7 @@ def appearance_histogram(frame: NDArray[np.uint8], silhouette: Silhouette) -> ND
     return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
 
 
-def appearance_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+def colour_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
     """Hellinger distance of two histograms, 0 to 1."""
     return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
 

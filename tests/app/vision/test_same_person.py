@@ -1,14 +1,14 @@
-"""Finding people: which readings are of one body."""
+"""Which finds are one person."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.estimation.finder import DUPLICATE_BODY_DISTANCE, first_of_body
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import WINDOW_SCALE, PersonWindow
 from app.vision.people import Landmarks
+from app.vision.same_person import first_of_body
 
 BODY_PX = 80.0
 
@@ -33,5 +33,5 @@ def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
     apart_px = share * BODY_PX
     other = reading(apart_px * np.cos(angle), apart_px * np.sin(angle))
     first = first_of_body([reading(0), other])
-    if share != pytest.approx(DUPLICATE_BODY_DISTANCE):
-        assert first == [0, int(share > DUPLICATE_BODY_DISTANCE)]
+    if share != pytest.approx(0.12):
+        assert first == [0, int(share > 0.12)]

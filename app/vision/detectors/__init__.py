@@ -1,0 +1,22 @@
+"""What detects people: a file for each detector, all with the same method."""
+
+from typing import Protocol
+
+from app.vision.detectors.tiles import Picture
+from app.vision.people import Detection
+
+
+class Detector(Protocol):
+    """Detects people; thread-safe.
+
+    :class:`app.vision.detector.NetworkDetector` asks one after the other, and weights what each
+    finds by its score.
+    """
+
+    def detect(self, picture: Picture) -> list[Detection]:
+        """Detect the people of a picture, best first; scores need not be probabilities.
+
+        A detection without keypoints whose window is known is confirmed by the landmark network
+        before it counts as a person whom no other detector has found.
+        """
+        ...
