@@ -28,10 +28,7 @@ ENV HOST=0.0.0.0 \
     PYTHONUNBUFFERED=1
 COPY --from=build /srv/.venv /srv/.venv
 WORKDIR /srv
-# The bridge of a camera: compose.yaml runs it from the same image, with a volume for its queue.
-COPY scripts/__init__.py scripts/__init__.py
-COPY scripts/__main__.py scripts/__main__.py
-COPY scripts/watch_camera scripts/watch_camera
+# For the queue of the bridge of a camera, which compose.yaml runs from the same image.
 RUN install --directory --owner=10001 --group=10001 /queue
 USER 10001:10001
 EXPOSE 8000

@@ -119,7 +119,7 @@ def create_app(
         lifespan=lifespan,
         docs_url=None,
         redoc_url=None,
-        redirect_slashes=False,  # app/http/errors.py redirects instead, relatively.
+        redirect_slashes=False,  # app/http/access_log.py drops the slash instead.
     )
     app.state.runtime = runtime
     routers = [module.router for module in (pose, cameras, sequence, index, deepstack, system)]

@@ -47,16 +47,15 @@ COMMANDS = {
     "openapi": ("scripts.openapi", "write openapi.json"),
     "convert": ("scripts.convert", "convert the published networks to those of the service"),
     "pictures": ("scripts.pictures", "draw the pictures of the documents"),
-    "watch-camera": (
-        "scripts.watch_camera.command",
-        "a camera's frames to a service, events to a webhook and MQTT",
-    ),
     "track-video": ("scripts.track_video", "annotate a video with tracked people"),
 }
 """Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
 
 
-_SMALLER = {"watch_camera": ".venv", "track_video": ".venv", "load": ".venv-dev"}
+MOVED = {"watch-camera": "`silhouette-pose-watch` or `python -m app.bridge`"}
+"""Commands of the last release and where they went."""
+
+_SMALLER = {"track_video": ".venv", "load": ".venv-dev"}
 """Environments of gigabytes less than ``.venv-build`` that have what some modules need."""
 
 
@@ -66,6 +65,9 @@ def main(arguments: Sequence[str]) -> int:
     if name in ("-h", "--help"):
         print(usage())
         return 0
+    if name in MOVED:
+        print(f"scripts: {name} is now {MOVED[name]}", file=sys.stderr)
+        return 2
     if name not in COMMANDS:
         print(f"scripts: expected a command, got {name!r}\n\n{usage()}", file=sys.stderr)
         return 2

@@ -2,11 +2,13 @@
 
 import ast
 import re
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import ROOT
+from tests.support.programs import output_of
 
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 PACKAGES = ("app", "index", "descriptor")
@@ -83,6 +85,22 @@ def test_imports_lead_downward(path: str) -> None:
         below = layer_of(other, layers)
         assert layer is not None and below is not None
         assert layer <= below, f"{path} imports {other}, which is in a layer above"
+
+
+def test_the_bridge_is_a_client() -> None:
+    for path in MODULES:
+        others = imported_files(ROOT / path) - {"app/__init__.py"}
+        if path.startswith("app/bridge/"):
+            assert all(other.startswith(("app/bridge/", "app/video/")) for other in others), path
+        else:
+            assert not any(other.startswith("app/bridge/") for other in others), path
+
+
+def test_the_bridge_loads_nothing_of_the_service() -> None:
+    loaded = output_of(
+        sys.executable, "-c", "import sys, app.bridge.command; print(*sys.modules)"
+    ).split()
+    assert {"faiss", "fastapi", "ai_edge_litert", "index"}.isdisjoint(loaded)
 
 
 def test_vision_knows_nothing_but_images() -> None:

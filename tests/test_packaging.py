@@ -83,23 +83,19 @@ def test_the_unit_knows_its_revision() -> None:
 @pytest.mark.parametrize(
     ("file", "pattern"),
     [
-        ("compose.yaml", r"-m scripts (watch-camera .+\n.+)"),
-        ("deploy/silhouette-watch@.service", r"-m scripts (watch-camera .+)"),
+        ("compose.yaml", r"-m app.bridge (.+\n.+)"),
+        ("deploy/silhouette-watch@.service", r"-m app.bridge (.+)"),
     ],
 )
-def test_what_the_image_has_runs_the_bridge(file: str, pattern: str, tmp_path: Path) -> None:
-    for source, target in re.findall(r"^COPY (scripts\S+) (\S+)", DOCKERFILE, re.MULTILINE):
-        copy = shutil.copytree if (ROOT / source).is_dir() else shutil.copy
-        (tmp_path / target).parent.mkdir(exist_ok=True)
-        copy(ROOT / source, tmp_path / target)
+def test_the_bridge_is_run_as_it_expects(file: str, pattern: str) -> None:
     (command,) = re.findall(pattern, (ROOT / file).read_text())
     arguments = command.replace("%i", "yard").split()
-    ended = run(
-        *(sys.executable, "-m", "scripts", *arguments), cwd=tmp_path, WATCH_SOURCE="rtsp://camera"
-    )
+    ended = run(sys.executable, "-m", "app.bridge", *arguments, WATCH_SOURCE="rtsp://camera")
     # The folder of its queue is only there.
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr.startswith("watch-camera: --queue: expected a file for events, got ")
+    assert ended.stderr.startswith(
+        "silhouette-pose-watch: --queue: expected a file for events, got "
+    )
 
 
 def test_what_was_tested_is_what_is_installed() -> None:

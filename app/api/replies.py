@@ -16,7 +16,7 @@ from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
 from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.zones import Zone, is_outside
+from app.tracking.zones import Zone, crosses_itself, is_outside
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
@@ -392,6 +392,9 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
             zone.name
             for zone in camera.settings.zones
             if session and is_outside(zone.polygon, (session.height, session.width))
+        ],
+        zones_crossing=[
+            zone.name for zone in camera.settings.zones if crosses_itself(zone.polygon)
         ],
         fov_deg=camera.settings.optics.fov_deg,
         pixel_aspect=camera.settings.optics.pixel_aspect,

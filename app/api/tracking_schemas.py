@@ -91,6 +91,13 @@ class Zone(_Given):
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
+    @field_validator("name")
+    @classmethod
+    def _is_printable(cls, name: str) -> str:
+        if not name.isprintable():
+            raise ValueError(f"expected a name of printable characters, got {name!r}")
+        return name
+
     @field_validator("polygon")
     @classmethod
     def _holds_something(cls, polygon: list[list[float]]) -> list[list[float]]:
@@ -276,6 +283,11 @@ class CameraState(Model):
     zones_outside: list[str] = Field(
         description="Names of the zones that lie wholly outside the last frame, so that nobody is "
         "ever in them. Empty without a session.",
+        examples=[[]],
+    )
+    zones_crossing: list[str] = Field(
+        description="Names of the zones whose border crosses itself, as of corners in a wrong "
+        "order: what it surrounds twice lies outside.",
         examples=[[]],
     )
     fov_deg: FieldOfView | None = Field(

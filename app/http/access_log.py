@@ -47,6 +47,8 @@ class AccessLogMiddleware:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
+        # Not every client follows a redirect.
+        scope["path"] = self._table.without_slash(scope["path"])
         started = time.perf_counter()
         notes = request_state(scope)
         identifier = _given_id(scope) or uuid.uuid4().hex

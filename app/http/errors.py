@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
-from urllib.parse import quote
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -153,13 +152,6 @@ def _validation_problem(error: RequestValidationError) -> ProblemError:
 
 def _not_found(request: Request, table: RouteTable) -> ProblemError:
     path = request.url.path
-    if len(path) > 2 and path.endswith("/") and table.find(path[:-1]) is not None:
-        # The location is relative, so it also works behind a proxy that serves us under a path.
-        last, query = quote(path[:-1].rsplit("/", 1)[1]), request.url.query
-        location = f"../{last}" + (f"?{query}" if query else "")
-        # Not every client follows redirects, so the sentence names the path.
-        detail = f"expected {path[:-1]}, got {shortened(path)}"
-        return ProblemError(307, detail, headers={"Location": location})
     detail = f"expected a path that /docs describes, got {shortened(path)}"
     return ProblemError(404, detail + table.suggestion(path))
 

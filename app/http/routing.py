@@ -55,6 +55,11 @@ class RouteTable:
         """Return the route that matches a path, None if there is none."""
         return next((route for route in self._routes if route.pattern.match(path)), None)
 
+    def without_slash(self, path: str) -> str:
+        """Return a path without a slash at its end, if only that one is known."""
+        known = path.endswith("/") and self.find(path) is None and self.find(path[:-1]) is not None
+        return path[:-1] if known else path
+
     @property
     def methods(self) -> tuple[str, ...]:
         """All methods of all routes, in alphabetical order."""

@@ -142,7 +142,7 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
             boxes=_parse_boxes(boxes, settings) if boxes else None,
             track_ids=_parse_track_ids(track_ids, settings) if track_ids else None,
         )
-        return upload, _parse_timestamp(timestamp) if timestamp else None
+        return upload, None if timestamp is None else _parse_timestamp(timestamp)
 
 
 async def _read_upload(request: Request) -> Upload:

@@ -46,6 +46,19 @@ def has_area(polygon: NDArray[np.float64]) -> bool:
     return bool(spread / math.sqrt(len(polygon)) > _MIN_SPREAD_PX)
 
 
+def crosses_itself(polygon: NDArray[np.float64]) -> bool:
+    """Whether two edges of a polygon ``(P, 2)`` that share no corner cross."""
+    starts, ends = polygon, np.roll(polygon, -1, axis=0)
+
+    def side(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """On which side of each edge (rows) points (columns) lie."""
+        (x, y), apart = (ends - starts).T[..., None], points[None] - starts[:, None]
+        return np.sign(x * apart[..., 1] - y * apart[..., 0])
+
+    divides = side(starts) * side(ends) < 0
+    return bool((divides & divides.T).any())
+
+
 def is_outside(polygon: NDArray[np.float64], shape: tuple[int, ...]) -> bool:
     """Whether a polygon ``(P, 2)`` lies wholly beside, above or below a frame ``(H, W, ...)``."""
     last = np.array([shape[1], shape[0]]) - 0.5

@@ -1,8 +1,8 @@
 """Find how many cameras a server carries at five frames a second.
 
-Each camera sends the newest frame as soon as the last is answered, as ``watch-camera`` does; frames
-that have become older than the next are dropped. First come the cameras of a house, of which one
-shows people; then cameras that all do are added until too many frames are dropped.
+Each camera sends the newest frame as soon as the last is answered, as the bridge does; frames that
+have become older than the next are dropped. First come the cameras of a house, of which one shows
+people; then cameras that all do are added until too many frames are dropped.
 """
 
 import time

@@ -126,6 +126,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ("1764000000000", "expected seconds, at most 100000000000, got 1764000000000; divide"),
         )),
         (YARD, form(frame=FRAME, timestamp="noon"), "timestamp", "a number, got 'noon'"),
+        (YARD, form(frame=FRAME, timestamp=""), "timestamp", "a number, got ''"),
         (f"{YARD}?timestamp=1", form(frame=FRAME, timestamp="1"), "timestamp", "got both"),
         *((YARD, track(text), "track_ids", "1 to 64 characters") for text in (
             '["17", ""]', '["17", true]', '["17", 1.5]', '{"17": 1}', f'["17", {DIGITS}]', "[")),

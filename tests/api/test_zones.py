@@ -160,6 +160,18 @@ class TestEvents:
         ]
 
 
+class TestNames:
+    def test_a_zone_whose_border_crosses_itself_is_named(self, client: TestClient) -> None:
+        bow = {"name": "bow", "kind": "watch", "polygon": [[0, 0], [90, 90], [90, 0], [0, 90]]}
+        assert configure(client, bow, RIGHT).json()["zones_crossing"] == ["bow"]
+
+    def test_names_are_printable(self, client: TestClient) -> None:
+        response = configure(client, {**RIGHT, "name": "bed\n"})
+        assert "expected a name of printable characters" in check_problem(
+            response, 422, field="zones[0].name"
+        )
+
+
 class TestPeople:
     def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:
         away = {"name": "away", "kind": "watch", "polygon": [[400, 0], [500, 0], [450, 90]]}

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from scripts.watch_camera.common import RefusedError, Trouble, UnavailableError, say
+from app.bridge.common import RefusedError, Trouble, UnavailableError, say
 
 Message = Mapping[str, Any]
 
@@ -42,9 +42,15 @@ class Outbox:
         self._changed = threading.Condition()
         if path is not None:
             try:
-                self._load(path)
+                self._database = sqlite3.connect(path, check_same_thread=False)
             except sqlite3.Error as error:
-                raise OSError(f"--queue: expected a file for events, got {path}: {error}") from None
+                raise _no_queue(path, error) from None
+            try:
+                self._load()
+            except sqlite3.OperationalError as error:  # A full disk, say.
+                self._trouble.report(f"--queue: {error}: events wait in memory")
+            except sqlite3.Error as error:
+                raise _no_queue(path, error) from None
 
     def __len__(self) -> int:
         with self._changed:
@@ -89,8 +95,7 @@ class Outbox:
         else:
             self._unsaved[receiver, message_id] = None
 
-    def _load(self, path: Path) -> None:
-        self._database = sqlite3.connect(path, check_same_thread=False)
+    def _load(self) -> None:
         self._database.executescript(_SCHEMA)
         rows = self._database.execute("select receiver, id, message from waiting order by number")
         for receiver, message_id, text in rows:
@@ -116,6 +121,7 @@ class Outbox:
             newest = (self._camera_id, self.newest)
             try:
                 with self._database as database:
+                    database.executescript(_SCHEMA)  # The disk may have been full at the start.
                     database.executemany("delete from waiting where receiver = ? and id = ?", taken)
                     database.executemany(
                         "insert or ignore into waiting values (null, ?, ?, ?)", put
@@ -127,6 +133,10 @@ class Outbox:
             self._unsaved.clear()
             self._trouble.end()
             return True
+
+
+def _no_queue(path: Path, error: sqlite3.Error) -> OSError:
+    return OSError(f"--queue: expected a file for events, got {path}: {error}")
 
 
 def deliver(

@@ -22,15 +22,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.bridge import bridge as bridge_module
+from app.bridge import common as common_module
+from app.bridge import source as source_module
+from app.bridge.command import fate, run
+from app.bridge.outbox import Outbox
 from app.video.frames import UnreadableError
-from scripts.__main__ import main
-from scripts.watch_camera import bridge as bridge_module
-from scripts.watch_camera import common as common_module
-from scripts.watch_camera import source as source_module
-from scripts.watch_camera.command import run
-from scripts.watch_camera.outbox import Outbox
+from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
 from tests.conftest import ROOT, WALKERS, Server
-from tests.scripts.watch_camera.servers import Service, Webhook, event, full_disk, serving
 from tests.support.videos import noisy_frames, numbered_frames, write_video
 
 Capture = pytest.CaptureFixture[str]
@@ -135,6 +134,35 @@ def test_a_full_disk_loses_no_event(watch: Any, tmp_path: Path) -> None:
     assert "events wait in memory" in line
 
 
+def test_with_a_full_disk_and_a_new_file_events_wait_in_memory(watch: Any, tmp_path: Path) -> None:
+    webhook, queue = Webhook(), tmp_path / "yard.db"
+    with serving(webhook) as host, full_disk():
+        options = ("--queue", queue, "--webhook", f"http://{host}")
+        ended, printed, log = watch(Service("entered"), *options)
+    assert ended == 0
+    assert printed == webhook.got
+    assert log.count("events wait in memory") == 1
+    # Now the file is written.
+    assert names(watch(Service("entered"), "--queue", queue)[1]) == ["entered"]
+
+
+def test_at_the_end_what_is_lost_has_its_reason(tmp_path: Path) -> None:
+    queue = tmp_path / "yard.db"
+    assert fate(queue, True) == f"wait in {queue}"
+    assert fate(queue, False) == f"are lost: {queue} cannot be written"
+    assert fate(None, False) == "are lost: --queue keeps them"
+
+
+def test_who_was_there_when_the_service_ended_has_left(watch: Any) -> None:
+    service = Service("entered")
+    service.sessions = ["new", "warm", "warm", "new"]
+    _, printed, log = watch(service)
+    assert names(printed) == ["entered", "left"]
+    assert "the service had forgotten this camera" in log
+    assert printed[1]["track_id"] == printed[0]["track_id"]
+    assert printed[1].keys() == printed[0].keys()
+
+
 def test_credentials_of_addresses_are_used(watch: Any) -> None:
     webhook, service = Webhook(), Service("entered")
     with serving(webhook) as host:
@@ -181,7 +209,7 @@ def test_sources_and_names(source: str, camera: str, expected: str, capsys: Capt
 def failure(*arguments: str, capsys: Capture) -> str:
     """What the program reports when it cannot do as it is told."""
     try:
-        status = main(["watch-camera", *arguments])
+        status = run(arguments)
     except SystemExit as ended:
         status = ended.code
     assert status in (1, 2)
@@ -197,7 +225,7 @@ def test_a_stop_is_clean_and_shows_no_password(tmp_path: Path) -> None:
     secret = "s3cret"
     address = f"//admin:{secret}@127.0.0.1:1/{secret}"
     command = [
-        *(sys.executable, "-m", "scripts", "watch-camera", "-", "yard", "--url", f"http:{address}"),
+        *(sys.executable, "-m", "app.bridge", "-", "yard", "--url", f"http:{address}"),
         *("--webhook", f"http:{address}", "--mqtt", f"mqtt:{address}", "--api-key", secret),
     ]
     for source in [str(tmp_path / "long.avi")] * 4 + [f"rtsp:{address}"]:
@@ -214,6 +242,31 @@ def test_a_stop_is_clean_and_shows_no_password(tmp_path: Path) -> None:
         log += process.communicate(timeout=20)[1]
         assert process.returncode == 0, log
         assert secret not in log
+
+
+def test_the_time_of_day_follows_a_clock_that_was_set(
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(source_module.Source, "_read", lambda self: None)
+    source, shift_s = source_module.Source("0"), 0.0
+    clock = time.time
+    monkeypatch.setattr(source_module.time, "time", lambda: clock() + shift_s)
+    for shift_s, is_said in ((1.0, False), (90_000.0, True), (90_002.0, False), (5.0, True)):
+        expected = clock() + shift_s
+        assert source._time_of_day(time.monotonic()) == pytest.approx(expected, abs=3)
+        assert ("the clock of this machine was set by" in capsys.readouterr().err) == is_said
+
+
+def test_a_recording_plays_on_where_its_time_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = [0.0, 0.1, 5000.0, 5000.1]
+    frames = [SimpleNamespace(timestamp=at, pixels=np.zeros((4, 4, 3), np.uint8)) for at in times]
+    film = SimpleNamespace(frames=lambda: iter(frames), close=lambda: None)
+    monkeypatch.setattr(source_module, "Video", lambda *_: film)
+    monkeypatch.setattr(source_module.Path, "is_file", lambda self: True)
+    source = source_module.Source("yard.avi")
+    with source._changed:
+        assert source._changed.wait_for(lambda: source._ended, 10)
+    assert source._number == 4
 
 
 class Stream:

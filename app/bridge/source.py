@@ -11,10 +11,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.bridge.common import Trouble, say
 from app.video.frames import UnreadableError, Video
-from scripts.watch_camera.common import Trouble, say
 
 STREAM_TIMEOUT_S = 10.0
+# A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
+# that is earlier than the last begins anew, so none is refused for being late.
+_CLOCK_SET_S = 6.0
+# A recording plays on at once where its time jumps by more.
+_JUMP_S = 10.0
 _POLL_S = 0.2
 
 
@@ -37,8 +42,8 @@ class Source:
         self._ended = False
         self._changed = threading.Condition()
         self._trouble = Trouble("the source gives frames")
-        # Unix time that never goes back, whatever happens to the clock meanwhile.
-        self._clock_ahead_s = time.time() - time.monotonic()
+        # Unix time at the zero of the monotonic clock, which no correction of seconds moves.
+        self._clock_s = time.time() - time.monotonic()
         threading.Thread(target=self._read, daemon=True).start()
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
@@ -68,18 +73,31 @@ class Source:
             self._changed.notify()
 
     def _read_once(self) -> None:
-        began = time.monotonic()
+        began, last_s = time.monotonic(), 0.0
         for elapsed_s, pixels in self._pictures():
             moment = time.monotonic()
             if self.is_file:
                 # Play it as fast as it was filmed.
-                moment = began + elapsed_s
+                if elapsed_s - last_s > _JUMP_S:
+                    began -= elapsed_s - last_s
+                moment, last_s = began + elapsed_s, elapsed_s
                 time.sleep(max(0.0, moment - time.monotonic()))
             with self._changed:
-                self._newest = Frame(self._number, self._clock_ahead_s + moment, pixels)
+                self._newest = Frame(self._number, self._time_of_day(moment), pixels)
                 self._changed.notify()
             self._trouble.end()
             self._number += 1
+
+    def _time_of_day(self, moment: float) -> float:
+        """Unix seconds of a moment of the monotonic clock.
+
+        A machine may get the time after it has started, or be suspended.
+        """
+        clock_s = time.time() - time.monotonic()
+        if abs(clock_s - self._clock_s) > _CLOCK_SET_S:
+            say(f"the clock of this machine was set by {clock_s - self._clock_s:+.0f} s")
+            self._clock_s = clock_s
+        return self._clock_s + moment
 
     def _pictures(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         """Yield seconds since the first frame, 0 for a device, and pixels."""

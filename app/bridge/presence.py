@@ -12,6 +12,11 @@ class Presence:
         self._zones: dict[str, set[int]] = {}
 
     @property
+    def track_ids(self) -> list[int]:
+        """Identities of the people."""
+        return sorted(self._people)
+
+    @property
     def people(self) -> int:
         """Number of people."""
         return len(self._people)

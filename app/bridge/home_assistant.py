@@ -2,10 +2,11 @@
 
 Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
-``people`` (a number), ``zones/ZONE`` (ON or OFF) and ``fell`` (JSON whose ``state`` is ON for
-:data:`FELL_SHOWN_S` after a fall, and its ``time``). People and zones are None while offline.
+``people`` (a number), ``zones/ZONE`` (ON or OFF) and ``fell`` (the event as JSON, but with the
+``state`` ON for :data:`FELL_SHOWN_S`, then OFF). People and zones are None while offline.
 """
 
+import contextlib
 import json
 import re
 import threading
@@ -20,8 +21,8 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
-from scripts.watch_camera.common import Trouble, UnavailableError, say
-from scripts.watch_camera.outbox import Message
+from app.bridge.common import Trouble, UnavailableError, say
+from app.bridge.outbox import Message
 
 BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
@@ -67,7 +68,9 @@ class HomeAssistant:
         self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
         self._published: dict[str, str] = {}
         self._retry_at: dict[str, float] = {}
-        self._zones: dict[str, str] = {}
+        self._zones: dict[str, str] | None = None
+        # Announcements that the broker has of an earlier start, with the topics of their states.
+        self._earlier: dict[str, str] = {}
         self._answers: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._outage, self._outage_began = "does not answer", time.monotonic()
@@ -93,6 +96,7 @@ class HomeAssistant:
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_publish = self._on_publish
+        self._client.on_message = self._on_message
         port = address.port or (8883 if address.scheme == "mqtts" else 1883)
         self._client.connect_async(address.hostname or "", port, _KEEPALIVE_S)
         self._client.loop_start()
@@ -104,24 +108,37 @@ class HomeAssistant:
         if message["event"] == "fell" and message["id"] != self._last_fall:
             self._fell_until = time.monotonic() + FELL_SHOWN_S
             with self._changed:
-                self._state[self._fell] = json.dumps({"state": "ON", **message})
+                self._state[self._fell] = json.dumps({**message, "state": "ON"})
             self._retain(self._fell)
             self._last_fall = message["id"]
         self._publish(f"{self._base}/events", json.dumps(message))
 
-    def show(self, people: int, zones: Mapping[str, bool]) -> None:
-        """Show how many people there are and which zones are occupied; announce new zones."""
-        topics = {f"zones/{slug(name)}": name for name in zones}
+    def show(self, people: int, zones: Mapping[str, bool] | None) -> None:
+        """Show how many people there are and which zones are occupied; announce new zones.
+
+        Zones are None while they are not known. Those that are gone, even since an earlier start,
+        are withdrawn.
+        """
         with self._changed:
             self._seen_at = time.monotonic()
-            for gone in self._zones.keys() - topics.keys():
-                self._state[self._config("binary_sensor", gone)] = ""
-            for topic, name in topics.items():
-                self._announce("binary_sensor", topic, name, device_class="occupancy")
-                self._state[f"{self._base}/{topic}"] = "ON" if zones[name] else "OFF"
-            self._zones = topics
+            if zones is not None:
+                self._show_zones(zones)
             self._state[f"{self._base}/people"] = str(people)
             self._state[self._available] = "online"
+
+    def _show_zones(self, zones: Mapping[str, bool]) -> None:
+        topics = {f"zones/{slug(name)}": name for name in zones}
+        for topic, name in topics.items():
+            self._announce("binary_sensor", topic, name, device_class="occupancy")
+            self._state[f"{self._base}/{topic}"] = "ON" if zones[name] else "OFF"
+        gone = {
+            self._config("binary_sensor", topic): f"{self._base}/{topic}"
+            for topic in (self._zones or {}).keys() - topics.keys()
+        }
+        known = {self._config("binary_sensor", topic) for topic in ("fell", *topics)}
+        gone |= {config: state for config, state in self._earlier.items() if config not in known}
+        self._state |= dict.fromkeys([*gone.keys(), *gone.values()], "")
+        self._zones, self._earlier = topics, {}
 
     def keep(self) -> None:
         """Publish what has changed, and notice that nobody has shown anything for too long."""
@@ -151,7 +168,7 @@ class HomeAssistant:
         """Show that the camera is offline; people and zones become unknown."""
         with self._changed:
             self._state[self._available] = "offline"
-            for topic in ("people", *self._zones):
+            for topic in ("people", *(self._zones or ())):
                 self._state[f"{self._base}/{topic}"] = _UNKNOWN
 
     def news(self) -> list[str]:
@@ -209,6 +226,13 @@ class HomeAssistant:
         with self._changed:
             self._outage = f"refuses: {answer}" if answer.is_failure else "does not answer"
             self._published.clear()
+        self._client.subscribe(self._config("binary_sensor", "+"))
+
+    def _on_message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
+        """Note an announcement of an earlier start."""
+        with contextlib.suppress(ValueError, KeyError, TypeError), self._changed:
+            if message.retain:
+                self._earlier[message.topic] = str(json.loads(message.payload)["state_topic"])
 
     def _on_disconnect(self, *_: Any) -> None:
         self._outage_began = time.monotonic()

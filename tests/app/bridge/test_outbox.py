@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from scripts.watch_camera import common, outbox
-from scripts.watch_camera.common import RefusedError, UnavailableError
-from scripts.watch_camera.outbox import Message, Outbox, deliver
-from tests.scripts.watch_camera.servers import full_disk
+from app.bridge import common, outbox
+from app.bridge.common import RefusedError, UnavailableError
+from app.bridge.outbox import Message, Outbox, deliver
+from tests.app.bridge.servers import full_disk
 
 
 def message(number: int, camera: str = "yard") -> Message:

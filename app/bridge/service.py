@@ -6,8 +6,8 @@ from urllib.parse import SplitResult, urlencode
 
 import cv2
 
-from scripts.watch_camera.common import Connection, RefusedError, UnavailableError
-from scripts.watch_camera.source import Frame
+from app.bridge.common import Connection, RefusedError, UnavailableError
+from app.bridge.source import Frame
 
 _TIMEOUT_S = 20.0
 

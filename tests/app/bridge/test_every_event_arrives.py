@@ -22,9 +22,9 @@ import cv2
 import httpx
 import pytest
 
+from tests.app.bridge.servers import Webhook, serving
 from tests.conftest import ROOT, start_server, wait_until
 from tests.golden.pictures import EMPTY_YARD, decode, walk
-from tests.scripts.watch_camera.servers import Webhook, serving
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
 from tests.support.ports import free_ports
 from tests.support.programs import run
@@ -131,7 +131,7 @@ class Bridge:
 
     def start(self) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "scripts", "watch-camera", *self._arguments],
+            [sys.executable, "-m", "app.bridge", *self._arguments],
             cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
         for stream, lines in ((self.process.stdout, self.events), (self.process.stderr, self.log)):

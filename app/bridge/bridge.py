@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from scripts.watch_camera.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
-from scripts.watch_camera.home_assistant import HomeAssistant
-from scripts.watch_camera.outbox import Message, Outbox
-from scripts.watch_camera.presence import Presence
-from scripts.watch_camera.service import Camera
-from scripts.watch_camera.source import Frame, Source
+from app.bridge.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
+from app.bridge.home_assistant import HomeAssistant
+from app.bridge.outbox import Message, Outbox
+from app.bridge.presence import Presence
+from app.bridge.service import Camera
+from app.bridge.source import Frame, Source
 
 STATUS_EVERY_S = 10.0
 _NO_KEY = (401, 403)
@@ -32,7 +32,8 @@ class Bridge:
         self, camera: Camera, outbox: Outbox, home_assistant: HomeAssistant | None = None
     ) -> None:
         self._camera, self._outbox, self._home_assistant = camera, outbox, home_assistant
-        self._presence, self._zones = Presence(), list[str]()
+        self._presence = Presence()
+        self._zones: list[str] | None = None  # Not known before the service has named them.
         self._trouble = Trouble("the service answers again")
         # Whether the service may list events that were not passed on.
         self._missed_events = True
@@ -92,6 +93,8 @@ class Bridge:
     def _hand_on(self, is_new: bool, answer: Mapping[str, Any]) -> None:
         if is_new and self.answered:
             say("the service had forgotten this camera: people are numbered anew")
+            for track_id in self._presence.track_ids:
+                self._pass_on(self._message(_left(track_id, answer["timestamp"])))
         if answer["reset"]:
             say(f"people are followed anew: {answer['reset']}")
         for event in answer["events"]:
@@ -125,8 +128,24 @@ class Bridge:
 
     def _show(self) -> None:
         if self._home_assistant is not None:
-            occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
+            occupied = None
+            if self._zones is not None:
+                occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
             self._home_assistant.show(self._presence.people, occupied)
+
+
+def _left(track_id: int, timestamp: float) -> dict[str, Any]:
+    """The event of a person of whom a service that ended can report no more."""
+    return {
+        "event": "left",
+        "state": "instant",
+        "track_id": track_id,
+        "timestamp": timestamp,
+        "probability": 1.0,
+        "zones": [],
+        "caller_track_id": None,
+        "dwell_s": None,
+    }
 
 
 def status(answer: Mapping[str, Any]) -> str:

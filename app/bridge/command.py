@@ -1,6 +1,6 @@
 """Watch a camera: frames to a service, its events to a webhook and to MQTT.
 
-    python -m scripts watch-camera SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
+    silhouette-pose-watch SOURCE CAMERA_ID [--url URL] [--fps 10] [--api-key KEY]
         [--webhook URL] [--mqtt mqtt://user:password@host] [--queue FILE]
 
 SOURCE is a video file, the number of a device (0) or the URL of a stream (rtsp://...). The newest
@@ -25,14 +25,15 @@ from pathlib import Path
 from typing import NoReturn
 from urllib.parse import SplitResult, urlsplit
 
-from scripts.watch_camera.bridge import Bridge
-from scripts.watch_camera.common import RefusedError, say
-from scripts.watch_camera.home_assistant import HomeAssistant
-from scripts.watch_camera.outbox import Outbox, deliver
-from scripts.watch_camera.service import Camera
-from scripts.watch_camera.source import Source
-from scripts.watch_camera.webhook import Webhook
+from app.bridge.bridge import Bridge
+from app.bridge.common import RefusedError, say
+from app.bridge.home_assistant import HomeAssistant
+from app.bridge.outbox import Outbox, deliver
+from app.bridge.service import Camera
+from app.bridge.source import Source
+from app.bridge.webhook import Webhook
 
+PROGRAM = "silhouette-pose-watch"
 STOPS_WITHIN_S = 5.0
 _POLL_S = 0.1
 
@@ -61,7 +62,11 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
     home_assistant = HomeAssistant(options.mqtt, options.camera_id) if options.mqtt else None
     if home_assistant:
         receivers["mqtt"] = [home_assistant.send, home_assistant.keep]
-    outbox = Outbox(options.camera_id, receivers, options.queue)
+    try:
+        outbox = Outbox(options.camera_id, receivers, options.queue)
+    except OSError as error:
+        print(f"{PROGRAM}: {error}", file=sys.stderr)
+        return 1
     for name, calls in receivers.items():
         work = (outbox, closing, name, *calls)
         threading.Thread(target=deliver, args=work, daemon=True).start()
@@ -83,20 +88,28 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
         time.sleep(_POLL_S)
     closing.set()
     if len(outbox):
-        where = f"wait in {options.queue}" if outbox.save() else "are lost: --queue keeps them"
-        say(f"{len(outbox)} deliveries {where}")
+        say(f"{len(outbox)} deliveries {fate(options.queue, outbox.save())}")
     if watching.done():
         try:
             watching.result()
         except RefusedError as refusal:
-            print(f"watch-camera: the service refuses: {refusal}", file=sys.stderr)
+            print(f"{PROGRAM}: the service refuses: {refusal}", file=sys.stderr)
             return 1
     return 0
 
 
+def fate(queue: Path | None, is_saved: bool) -> str:
+    """Say what becomes of deliveries that still wait at the end."""
+    if is_saved:
+        return f"wait in {queue}"
+    return f"are lost: {queue} cannot be written" if queue else "are lost: --queue keeps them"
+
+
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; end the program if it cannot be followed."""
-    parser = argparse.ArgumentParser(description="A camera's frames to a service, events from it.")
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description="A camera's frames to a service, events from it."
+    )
     add = parser.add_argument
     add("source", type=_source, help="file, number of a device, or URL of a stream; - WATCH_SOURCE")
     add("camera_id", type=_camera_id, help="name of the camera for the service")

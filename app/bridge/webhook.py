@@ -3,8 +3,8 @@
 import json
 from urllib.parse import SplitResult
 
-from scripts.watch_camera.common import Connection, RefusedError, UnavailableError
-from scripts.watch_camera.outbox import Message
+from app.bridge.common import Connection, RefusedError, UnavailableError
+from app.bridge.outbox import Message
 
 _TIMEOUT_S = 10.0
 _REFUSED = (400, 405, 410, 413, 415, 422)

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from tests.golden.answers import FOLDER
 from tests.support.ports import free_ports
 
 
@@ -38,6 +39,8 @@ class Service(Webhook):
         super().__init__()
         self.events = [event(name, 1e9 + number) for number, name in enumerate(events)]
         self.listed: list[dict[str, Any]] = []
+        self.sessions: list[str] = []
+        """``X-Session`` of the next frames; then ``warm``."""
 
     def answer(self, method: str, path: str, body: bytes) -> tuple[int, Any]:
         if path.endswith("/events"):
@@ -49,13 +52,31 @@ class Service(Webhook):
             return status, {"detail": f"status {status}"}
         events = [self.events.pop(0)] if self.events else []
         self.listed += events
-        answer = {"persons": [], "events": events, "reset": None, "timings_ms": {"total": 9.0}}
+        answer = {
+            "persons": [
+                {"track_id": one["track_id"], "zones": [], "posture": None}
+                for one in self.listed[-1:]
+                if one["event"] == "entered"
+            ],
+            "events": events,
+            "reset": None,
+            "timestamp": 1e9,
+            "timings_ms": {"total": 9.0},
+        }
         return status, answer
 
 
+REPORTED = {
+    one["event"]: one
+    for film in ("falls", "crossing")
+    for one in json.loads((FOLDER / f"{film}-events.json").read_text())["body"]["events"]
+}
+"""Events by name, as the service reported them of the golden films."""
+
+
 def event(name: str, timestamp: float) -> dict[str, Any]:
-    """An event as the service reports it."""
-    return {"event": name, "state": "instant", "track_id": 3, "timestamp": timestamp, "zones": []}
+    """An event as the service reports it, at a time; all have the fields of ``entered``."""
+    return {**REPORTED["entered"], **REPORTED.get(name, {"event": name}), "timestamp": timestamp}
 
 
 @contextmanager
@@ -74,7 +95,8 @@ def serving(fake: Webhook, port: int = 0) -> Iterator[str]:
             answer = b"" if content is None else json.dumps(content).encode()
             self.send_response(status)
             self.send_header("Content-Length", str(len(answer)))
-            self.send_header("X-Session", "warm")
+            sessions = getattr(fake, "sessions", None) if self.command == "POST" else None
+            self.send_header("X-Session", sessions.pop(0) if sessions else "warm")
             self.send_header("Retry-After", "0")
             self.end_headers()
             self.wfile.write(answer)

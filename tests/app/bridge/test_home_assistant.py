@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
+import jinja2
 import pytest
 
-from scripts.watch_camera import common as common_module
-from scripts.watch_camera import home_assistant as module
-from scripts.watch_camera.home_assistant import HomeAssistant
-from scripts.watch_camera.outbox import Message, Outbox, deliver
+from app.bridge import common as common_module
+from app.bridge import home_assistant as module
+from app.bridge.home_assistant import HomeAssistant
+from app.bridge.outbox import Message, Outbox, deliver
+from tests.app.bridge.servers import event
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
 from tests.support.programs import output_of
@@ -65,7 +67,7 @@ def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
 
 def message(number: int, name: str = "fell") -> Message:
     time = "2026-01-01T12:00:00.000+00:00"
-    return {"id": str(number), "event": name, "track_id": 3, "camera_id": "ward.1", "time": time}
+    return {"id": str(number), "camera_id": "ward.1", "time": time, **event(name, 12.0)}
 
 
 def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,17 +116,50 @@ def test_a_fall_is_shown_for_a_while_with_its_time(
     monkeypatch.setattr(module, "FELL_SHOWN_S", 1)
     eventually(lambda: ward.fell == {"state": "OFF"})
     ward.outbox.put(message(1))
-    eventually(lambda: ward.fell == {"state": "ON", **message(1)})
+    eventually(lambda: ward.fell == {**message(1), "state": "ON"})
     ward.broker.stop()
     ward.outbox.put(message(2))
     ward.broker.start()
-    eventually(lambda: ward.fell == {"state": "ON", **message(2)})
-    eventually(lambda: ward.fell == {"state": "OFF", **message(2)})
+    eventually(lambda: ward.fell == {**message(2), "state": "ON"})
+    eventually(lambda: ward.fell == {**message(2), "state": "OFF"})
+
+
+def test_the_sensor_of_a_fall_turns_on_by_its_own_template(ward: Ward) -> None:
+    def state() -> str | None:
+        latest = ward.subscriber.latest
+        configs = [json.loads(text) for topic, text in latest.items() if topic.endswith("/config")]
+        for config in configs:
+            if config["name"] == "fell" and config["state_topic"] in latest:
+                value = json.loads(latest[config["state_topic"]])
+                return jinja2.Template(config["value_template"]).render(value_json=value)
+        return None
+
+    eventually(lambda: state() == "OFF")
+    ward.outbox.put(message(1))
+    eventually(lambda: state() == "ON")
+
+
+def test_a_zone_that_went_while_the_bridge_did_not_run_is_withdrawn(
+    ward: Ward, tmp_path: Path
+) -> None:
+    ward.home.show(0, {"bed": True, "floor": False})
+    eventually(ward.shows(**{"zones/bed": "ON", "zones/floor": "OFF"}))
+    successor = HomeAssistant(urlsplit(ward.broker.address), "ward.1")
+    eventually(lambda: len(successor.news()) > 0)
+    successor.show(0, None)  # The service has not named its zones yet.
+    successor.keep()
+    time.sleep(0.5)
+    assert ward.subscriber.latest[f"{BASE}/zones/bed"] == "ON"
+    successor.show(0, {"floor": False})
+    successor.keep()
+    eventually(ward.shows(**{"zones/bed": "", "zones/floor": "OFF"}))
+    discovered = [t for t, text in ward.subscriber.latest.items() if "zones" in t and text]
+    assert {t.split("/")[-2] for t in discovered if t.endswith("/config")} == {"zones_floor"}
 
 
 HANGS = """
 import sys, time, urllib.parse
-from scripts.watch_camera.home_assistant import HomeAssistant
+from app.bridge.home_assistant import HomeAssistant
 home = HomeAssistant(urllib.parse.urlsplit(sys.argv[1]), "ward.1")
 while True:
     home.keep()
