@@ -28,6 +28,7 @@ from app.video import Frame
 from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
+_BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace")
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
@@ -59,7 +60,7 @@ class LineStream(StreamingResponse):
 async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
     """Receive the video of a request into a file."""
     with new_file() as file:
-        if has_type(request, "video/"):
+        if any(has_type(request, start) for start in _BODY_TYPES):
             async for chunk in request.stream():
                 file.write(chunk)
         elif has_type(request, MULTIPART):
@@ -70,7 +71,7 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
                     raise invalid("video", "expected a file, got none")
                 await asyncio.to_thread(shutil.copyfileobj, part.file, file)
         else:
-            raise unsupported_body(request, "multipart/form-data or video/*")
+            raise unsupported_body(request, f"{MULTIPART}, video/* or image/gif")
         yield file
 
 
@@ -120,7 +121,8 @@ async def _open(
     },
     openapi_extra=documented_form(
         VideoUpload,
-        "A video may also be the body itself, as `video/mp4` or any other type of video.",
+        "A video may also be the body itself, as `video/mp4` or any other type of video, "
+        "`image/gif`, or `multipart/x-mixed-replace`.",
     ),
 )
 async def analyse_sequence(

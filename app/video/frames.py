@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from typing import IO
+from typing import IO, Any
 
 import av
 
@@ -19,6 +19,7 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from app.video import MIN_STEP_S, Frame
+from app.vision.kinds import HEAD_BYTES, kind_of
 
 # A frame rate above the maximum is treated as wrong and replaced by the default.
 _DEFAULT_FPS = 25.0
@@ -31,7 +32,6 @@ _CUT_OFF = ("partial file", "File ended prematurely")
 _NO_INDEX = "moov atom not found"
 
 _UNFINISHED = "an MP4 or MOV whose index (moov) is missing: the file is incomplete"
-NOT_A_VIDEO = "something else or a broken one"
 
 
 class UnreadableError(ValueError):
@@ -71,6 +71,7 @@ class Video:
                 self._container = av.open(
                     source,
                     "r",
+                    format=_format(source),
                     options=options or {},
                     timeout=timeout_s,
                     # Titles and names of cameras come in any encoding.
@@ -78,11 +79,12 @@ class Video:
                 )
             except av.FFmpegError as error:
                 unfinished = any(_NO_INDEX in text for *_, text in messages)
-                raise UnreadableError(_UNFINISHED if unfinished else NOT_A_VIDEO) from error
+                found = _UNFINISHED if unfinished else _found(source)
+                raise UnreadableError(found) from error
         streams = [one for one in self._container.streams.video if one.codec_context is not None]
         if not streams:
             raise UnreadableError("a file without pictures")
-        self._stream: VideoStream = max(streams, key=_moves)
+        self._source, self._stream = source, _main_stream(streams)
         self._stream.codec_context.thread_count = 1
         self._is_cut_off = _ended_early(messages)
         self._to_bgr = VideoReformatter()
@@ -116,14 +118,14 @@ class Video:
             where = f"after {count} frames" if count else "before its first frame"
             raise UnreadableError(f"one that is cut off or damaged {where}")
         if not count:
-            raise UnreadableError(NOT_A_VIDEO)
+            raise UnreadableError(_found(self._source))
 
     def _upright(self, picture: VideoFrame) -> NDArray[np.uint8]:
         """Return the pixels of a picture, BGR."""
         stored = self._to_bgr.reformat(picture, format="bgr24", threads=1)
         rows = np.frombuffer(memoryview(stored.planes[0]), np.uint8).reshape(stored.height, -1)
         pixels = rows[:, : 3 * stored.width].reshape(stored.height, stored.width, 3)
-        return np.ascontiguousarray(np.rot90(pixels, _quarter_turns(picture)))
+        return _shown(pixels, _display_matrix(picture))
 
     def _aspect(self, picture: VideoFrame) -> float:
         """Width over height of an upright pixel; 1 unless the file announces a plausible one."""
@@ -132,7 +134,7 @@ class Video:
             aspect = 1.0
         if picture.interlaced_frame:  # A field of HEVC.
             aspect /= 2
-        return 1 / aspect if _quarter_turns(picture) % 2 else aspect
+        return 1 / aspect if _is_transposed(_display_matrix(picture)) else aspect
 
     def _pictures(self) -> Iterator[VideoFrame]:
         """Yield pictures as stored; ``opaque`` holds whether they are damaged."""
@@ -174,14 +176,74 @@ def _check_size(width: int, height: int, max_pixels: float) -> None:
         raise TooLargeError(width, height)
 
 
-def _moves(stream: VideoStream) -> tuple[bool, bool]:
-    """Rank a stream above cover pictures, which may lack their mark."""
-    return not stream.disposition & Disposition.attached_pic, stream.frames != 1
+def _head(source: str | IO[bytes]) -> bytes:
+    """The first bytes of a file; none of an address."""
+    if isinstance(source, str):
+        return b""
+    source.seek(0)
+    head = source.read(HEAD_BYTES)
+    source.seek(0)
+    return head
 
 
-def _quarter_turns(picture: VideoFrame) -> int:
-    """Counterclockwise, from the picture as stored to the upright one."""
-    return round(picture.rotation / 90) % 4
+def _found(source: str | IO[bytes]) -> str:
+    """Name what is no video, or a broken one."""
+    kind = kind_of(_head(source))
+    return "a broken one" if kind == "a video" else kind
+
+
+def _format(source: str | IO[bytes]) -> str | None:
+    """A format that FFmpeg does not recognise: JPEGs between multipart boundaries."""
+    return "mjpeg" if _head(source).lstrip().startswith(b"--") else None
+
+
+# Of tracks of one size, one with less than this share of the most data is empty.
+_EMPTY_SHARE = 0.1
+
+
+def _main_stream(streams: list[VideoStream]) -> VideoStream:
+    """The largest track: not a cover picture, which may lack its mark, nor a black one."""
+    most = max(one.bit_rate or 0 for one in streams)
+
+    def rank(stream: VideoStream) -> tuple[float, ...]:
+        rate = stream.bit_rate or 0
+        return (
+            not stream.disposition & Disposition.attached_pic,
+            stream.frames != 1,
+            stream.width * stream.height,
+            rate >= _EMPTY_SHARE * most,
+            bool(stream.disposition & Disposition.default),
+            rate,
+        )
+
+    return max(streams, key=rank)
+
+
+def _display_matrix(picture: VideoFrame) -> NDArray[np.int64]:
+    """How a picture is to be turned and mirrored: a row ``(x, y)`` of it becomes ``row @ matrix``.
+
+    The matrix ``(2, 2)`` has one number in each row and column that is not 0: 1 or -1.
+    """
+    stored: Any = picture.side_data.get("DISPLAYMATRIX")
+    if stored is None:
+        return np.eye(2, dtype=np.int64)
+    matrix = np.frombuffer(bytes(stored), np.int32).reshape(3, 3)[:2, :2].astype(np.int64)
+    straight, crossed = np.eye(2, dtype=bool), ~np.eye(2, dtype=bool)
+    is_crossed = abs(matrix[crossed]).sum() > abs(matrix[straight]).sum()
+    signs = np.where(matrix < 0, -1, 1)
+    return signs * (crossed if is_crossed else straight)
+
+
+def _is_transposed(matrix: NDArray[np.int64]) -> bool:
+    return matrix[0, 0] == 0
+
+
+def _shown(pixels: NDArray[np.uint8], matrix: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Turn and mirror pixels ``(H, W, 3)`` as a display matrix says."""
+    if _is_transposed(matrix):
+        pixels = pixels.transpose(1, 0, 2)
+    across, down = matrix.sum(axis=0)
+    return np.ascontiguousarray(pixels[::down, ::across])
 
 
 def _deinterlaced(pictures: Iterable[VideoFrame]) -> Iterator[VideoFrame]:

@@ -19,6 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
+from app.vision.kinds import kind_of
+
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
 ImageWarning = Literal["dark", "stretched", "truncated", "damaged", "zone_outside"]
@@ -287,30 +289,11 @@ def _read_header(data: bytes) -> Image.Image:
     except (ImageError, Image.DecompressionBombError):
         raise
     except Exception as error:  # Damaged headers make Pillow raise almost anything.
+        kind = kind_of(data)
+        found = "a broken one" if kind.endswith("image") else kind
         raise ImageError(
-            f"expected a PNG, JPEG, WebP, BMP, TIFF or GIF image, got {_kind(data)}"
+            f"expected a PNG, JPEG, WebP, BMP, TIFF or GIF image, got {found}"
         ) from error
-
-
-_SIGNATURES = {
-    b"%PDF": "PDF",
-    b"8BPS": "PSD",
-    b"\xff\x0a": "JPEG XL",
-    b"\0\0\0\x0cJXL ": "JPEG XL",
-    b"\0\0\0\x0cjP  ": "JPEG 2000",
-}
-_BRANDS = {
-    **dict.fromkeys((b"avif", b"avis"), "AVIF"),
-    **dict.fromkeys((b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1"), "HEIC"),
-}
-
-
-def _kind(data: bytes) -> str:
-    """Name the kind of bytes that are no image of :data:`FORMATS`."""
-    named = (name for start, name in _SIGNATURES.items() if data.startswith(start))
-    if data[4:8] == b"ftyp":
-        return _BRANDS.get(data[8:12], "a video")
-    return next(named, "something else or a broken one")
 
 
 # Reads that an image may take, and further bytes for each further read. Pillow keeps every segment

@@ -75,7 +75,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         ("/pose", body(b"{}", "video/mp4"), None, "multipart/form-data or image/*"),
         ("/pose", body(b"x", "image/jpeg", **{"content-encoding": "gzip"}), None, "got gzip"),
         (DEEPSTACK, body(b"{}", "image/jpeg"), None, "expected a body of type multipart"),
-        ("/sequence", {"content": b"?"}, None, "multipart/form-data or video/*"),
+        ("/sequence", {"content": b"?"}, None, "multipart/form-data, video/* or image/gif"),
     ],
     (422, "misfit"): [
         *(("/pose", form(frame=FRAME, boxes=boxes), "boxes", said) for boxes, said in (

@@ -47,6 +47,13 @@ def parse(response: httpx.Response) -> tuple[list[SequenceFrame], SequenceEnd]:
 
 
 class TestLines:
+    @pytest.mark.parametrize("kind", ["image/gif", "video/gif"])
+    def test_a_gif_may_be_the_body(self, client: TestClient, tmp_path: Path, kind: str) -> None:
+        gif = write_video(tmp_path / "v.gif", numbered_frames(3), "gif")
+        headers = {"content-type": kind}
+        frames, end = parse(client.post("/sequence", content=gif, headers=headers))
+        assert (len(frames), end.reason) == (3, "complete")
+
     def test_every_frame_has_a_line(self, client: TestClient, video: bytes) -> None:
         frames, end = parse(post(client, video, n=2))
         assert [frame.video_frame for frame in frames] == list(range(12))

@@ -57,6 +57,14 @@ def write_video(
     return path.read_bytes()
 
 
+def with_display_matrix(video: bytes, matrix: NDArray[np.int64]) -> bytes:
+    """An MP4 whose pictures are to be turned and mirrored: a row ``(x, y)`` becomes ``row @ m``."""
+    place = video.index(b"tkhd") + 44  # In a box of version 0.
+    affine = np.zeros((3, 3), ">i4")
+    affine[:2, :2], affine[2, 2] = matrix << 16, 1 << 30
+    return video[:place] + affine.tobytes() + video[place + 36 :]
+
+
 def _woven(frames: Sequence[Picture], scan: Scan) -> Iterator[Picture]:
     for first, second in zip(frames[::2], frames[1::2], strict=True):
         woven = first.copy()

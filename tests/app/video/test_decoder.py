@@ -52,7 +52,22 @@ def test_playlists_are_not_followed(tmp_path: Path) -> None:
     other = tmp_path / "other.avi"
     write_video(other, numbered_frames(3))
     playlist = f"ffconcat version 1.0\nfile {other}\n".encode()
-    assert decode(playlist) == [{"end": "something else or a broken one"}]
+    assert decode(playlist) == [{"end": "a playlist (ffconcat)"}]
+
+
+@pytest.mark.parametrize(
+    ("data", "kind"),
+    [
+        (b"#EXTM3U\n#EXTINF:2,\none.ts\n", "a playlist (M3U)"),
+        (b'<?xml version="1.0"?><MPD xmlns="urn">', "a playlist (DASH)"),
+        (b"PK\x03\x04" + bytes(40), "a ZIP archive"),
+        (bytes(257) + b"ustar" + bytes(300), "a tar archive"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(40), "a PNG image"),
+        (b"RIFF\x40\0\0\0WEBPVP8X\x0a\0\0\0\2" + bytes(9) + b"ANIM", "an animated WebP image"),
+    ],
+)
+def test_what_is_no_video_is_named(data: bytes, kind: str) -> None:
+    assert decode(data) == [{"end": kind}]
 
 
 def with_subtitles(video: bytes, folder: Path) -> bytes:

@@ -17,7 +17,13 @@ from hypothesis import strategies as st
 from app.video import MIN_STEP_S, Frame
 from app.video.frames import Clock, TooLargeError, UnreadableError, Video
 from tests.conftest import WALKERS
-from tests.support.videos import Picture, Scan, numbered_frames, write_video
+from tests.support.videos import (
+    Picture,
+    Scan,
+    numbered_frames,
+    with_display_matrix,
+    write_video,
+)
 
 INTERLACED = {"flags": "+ildct+ilme"}
 FAST = {"libvpx": {"deadline": "realtime"}, "libvpx-vp9": {"deadline": "realtime"}}
@@ -88,6 +94,60 @@ def test_pictures_are_upright(tmp_path: Path, quarter_turns: int) -> None:
         write_video(tmp_path / "v.mp4", pan(1), "libx264", quarter_turns=quarter_turns)
     )
     assert difference(frame.pixels, np.rot90(pan(1)[0], quarter_turns)) < 4
+
+
+@pytest.mark.parametrize("across", [1, -1])
+@pytest.mark.parametrize("down", [1, -1])
+@pytest.mark.parametrize("crossed", [False, True])
+def test_pictures_are_shown_as_the_display_matrix_says(
+    tmp_path: Path, across: int, down: int, crossed: bool
+) -> None:
+    """Each pixel goes where the matrix sends it, relative to the middle."""
+    matrix = np.array([[0, down], [across, 0]] if crossed else [[across, 0], [0, down]])
+    stored = write_video(tmp_path / "v.mp4", pan(1), "libx264")
+    (frame,) = frames_of(with_display_matrix(stored, matrix))
+    rows, columns = np.indices(pan(1)[0].shape[:2])
+    places = np.stack([columns, rows], axis=-1) - (np.array(rows.shape[::-1]) - 1) / 2
+    places = places @ matrix + (np.array(frame.pixels.shape[1::-1]) - 1) / 2
+    there = places.round().astype(int)
+    assert difference(frame.pixels[there[..., 1], there[..., 0]], pan(1)[0]) < 4
+
+
+@pytest.mark.parametrize("first", ["black", "small", "one frame"])
+def test_the_main_track_is_shown(tmp_path: Path, first: str) -> None:
+    film = pan(6)
+    other = {
+        "black": [0 * frame for frame in film],
+        "small": [frame[:48, :80] for frame in film],
+        "one frame": film[:1],
+    }[first]
+    tracks = [
+        write_video(tmp_path / f"{n}.mp4", one, "libx264") for n, one in enumerate((other, film))
+    ]
+    with av.open(str(tmp_path / "v.mp4"), "w") as out:
+        sources = [av.open(io.BytesIO(track)) for track in tracks]
+        copies = [out.add_stream_from_template(source.streams.video[0]) for source in sources]
+        for source, copy in zip(sources, copies, strict=True):
+            for packet in source.demux():
+                if packet.size:
+                    packet.stream = copy
+                    out.mux(packet)
+    frames = frames_of((tmp_path / "v.mp4").read_bytes())
+    assert len(frames) == 6
+    assert max(map(difference, (frame.pixels for frame in frames), film)) < 4
+
+
+@pytest.mark.parametrize("start", [b"", b"\r\n"])
+@pytest.mark.parametrize("length", [False, True])
+def test_jpegs_between_boundaries_are_a_video(start: bytes, length: bool) -> None:
+    parts = b""
+    for frame in pan(4):
+        jpeg = cv2.imencode(".jpg", frame)[1].tobytes()
+        said = f"Content-Length: {len(jpeg)}\r\n".encode() if length else b""
+        parts += b"--frame\r\nContent-Type: image/jpeg\r\n" + said + b"\r\n" + jpeg + b"\r\n"
+    frames = frames_of(start + parts + b"--frame--\r\n")
+    assert len(frames) == 4
+    assert max(map(difference, (frame.pixels for frame in frames), pan(4))) < 4
 
 
 @pytest.mark.parametrize(

@@ -218,6 +218,7 @@ def test_bomb_is_refused_before_it_is_decoded(
         (b"\0\0\0\x18ftypisom" + bytes(40), "a video"),
         (b"\xff\x0a" + bytes(40), "JPEG XL"),
         (b"%PDF-1.7" + bytes(40), "PDF"),
+        (b"PK\x03\x04" + bytes(40), "a ZIP archive"),
     ],
 )
 def test_other_formats_are_named(data: bytes, kind: str) -> None:
