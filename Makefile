@@ -17,7 +17,7 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test coverage test-all test-newest check format index reranker evaluate bench openapi constraints clean
+.PHONY: run test coverage test-all test-newest mutants check format index reranker evaluate bench openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -41,6 +41,11 @@ test-newest:
 	@$(PYTHON) -m venv --clear $(NEWEST)
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
 	$(NEWEST)/bin/python -m pytest -q -n 2 --dist loadfile $(ARGS)
+
+# Not in continuous integration: an hour and more.
+mutants: $(DEV)/.stamp
+	$(DEV)/bin/$(PIP_INSTALL) -e '.[mutants,test]'
+	$(DEV)/bin/python -m scripts mutants $(ARGS)
 
 check: $(DEV)/.stamp
 	$(DEV)/bin/ruff check .
@@ -77,7 +82,7 @@ openapi: $(DEV)/.stamp
 constraints:
 	@$(PYTHON) -m venv --clear $(NEWEST)
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check \
-	  -e '.[browser,cluster,contract,milvus,test]'
+	  -e '.[browser,cluster,contract,milvus,mutants,test]'
 	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip --exclude setuptools) > $@.new
 	mv $@.new $@.txt
 
@@ -104,5 +109,5 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 # All that the targets above and `pip install .` leave behind; no other file is touched.
 clean:
 	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) build dist *.egg-info \
-	  .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage
+	  .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage mutants
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

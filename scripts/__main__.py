@@ -43,6 +43,7 @@ COMMANDS = {
     "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),
     "fuzz": ("scripts.load.fuzz", "upload damaged and odd images"),
     "cameras": ("scripts.load.cameras", "find how many cameras a server carries"),
+    "mutants": ("scripts.mutants", "break the code a line at a time; print what no test notices"),
     "debug-frame": ("scripts.debug_frame", "draw every step of one photograph"),
     "openapi": ("scripts.openapi", "write openapi.json"),
     "convert": ("scripts.convert", "convert the published networks to those of the service"),
