@@ -1,19 +1,54 @@
-"""The service: photographs, cameras and videos in, people with their poses and events out."""
+"""The service, and the library behind it: photographs and cameras in, people with poses out.
 
-import os
+What programs may import from here is in ``__all__``; docs/library.md shows how. It is loaded on
+first use, so that programs which need little of it start fast.
+"""
+
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
-# Frames are worked on in parallel. Threads within NumPy and FAISS would only compete for the same
-# cores, and make FAISS slower and inexact for a single query. Both read this when imported.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# A broken image is answered with a 400; OpenCV's own messages would fill the log.
-os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
-# A second line of defence behind the size check of `app.vision.images`, for images whose decoder
-# disagrees with their header.
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
+if TYPE_CHECKING:
+    from app.camera import CameraSession
+    from app.estimation.upload import Upload, UploadError
+    from app.photograph import Estimator, load_estimator
+    from app.settings import Settings
+    from app.tracking.zones import Zone
+    from app.vision.geometry import Box
+    from app.vision.optics import Optics
+
+__all__ = [
+    "VERSION",
+    "Box",
+    "CameraSession",
+    "Estimator",
+    "Optics",
+    "Settings",
+    "Upload",
+    "UploadError",
+    "Zone",
+    "load_estimator",
+]
 
 try:
     VERSION = version("silhouette-pose")
 except PackageNotFoundError:  # The checkout was never installed.
     VERSION = "0.0.0"
+
+_PLACES = {
+    "Box": "app.vision.geometry",
+    "CameraSession": "app.camera",
+    "Estimator": "app.photograph",
+    "Optics": "app.vision.optics",
+    "Settings": "app.settings",
+    "Upload": "app.estimation.upload",
+    "UploadError": "app.estimation.upload",
+    "Zone": "app.tracking.zones",
+    "load_estimator": "app.photograph",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_PLACES[name]), name)

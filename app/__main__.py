@@ -6,12 +6,22 @@ invalid or the address cannot be used, it exits at once with status 1 and one se
 
 import argparse
 import errno
+import os
 import signal
 import socket
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+
+# NumPy and OpenCV read these when they are imported. Frames are worked on in parallel; threads
+# within NumPy would only compete for the same cores.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# A broken image is answered with a 400; OpenCV's own messages would fill the log.
+os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
+# A second line of defence behind the size check of `app.vision.images`, for images whose decoder
+# disagrees with their header.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
 
 from app import VERSION
 from app.scheduling.process import configure_process

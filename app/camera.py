@@ -87,9 +87,9 @@ class CameraSession:
     def process(
         self,
         upload: Upload,
-        timestamp: float | None,
-        n: int,
-        job: Job,
+        timestamp: float | None = None,
+        n: int = DEFAULT_HYPOTHESES,
+        job: Job | None = None,
         evidence: Evidence = "photograph",
         zones: Sequence[Zone] = (),
     ) -> TrackedFrame:
@@ -108,6 +108,7 @@ class CameraSession:
             If the timestamp is not after that of the frame before. If it is earlier by more than a
             late frame can be, the session starts afresh instead.
         """
+        job = job or Job()
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
         decoded = self._estimator.decode(upload, job)

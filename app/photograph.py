@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from app.estimation.results import Estimate, Evidence, Facing, Person, Projected
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
+from app.settings import Settings
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
@@ -27,7 +29,9 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
+from index.artefact import load_index
 from index.landmark_matching import match_landmarks
+from index.matching import DEFAULT_HYPOTHESES
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
@@ -69,8 +73,8 @@ class Estimator:
     def estimate(
         self,
         upload: Upload,
-        n: int,
-        job: Job,
+        n: int = DEFAULT_HYPOTHESES,
+        job: Job | None = None,
         evidence: Evidence = "photograph",
         *,
         shown: bool = False,
@@ -86,6 +90,7 @@ class Estimator:
         UploadError
             If the images or boxes cannot be used.
         """
+        job = job or Job()
         unseen = upload.mask is not None and evidence == "silhouette" and not shown
         decoded = self.decode(upload, job, blank=unseen)
         people = self.finder.find(decoded, evidence, job)
@@ -196,6 +201,34 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     """
     threads = min(_THREADS_PER_PASS, cores)
     return threads, max(1, min(concurrency, cores // threads))
+
+
+def load_estimator(
+    settings: Settings | None = None, read_index: Callable[[], PoseIndex] | None = None
+) -> Estimator:
+    """Load the networks and the index, by default from the folder in the settings.
+
+    Without settings, those of the environment apply, as for the service.
+
+    Raises
+    ------
+    ArtefactError
+        If the index cannot be used.
+    NetworkError
+        If a network file shipped with the package is missing or has been modified.
+    """
+    settings = settings or Settings()
+    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
+        models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
+        index = read_index() if read_index else load_index(settings.index)
+    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
+    return Estimator(
+        index,
+        models.result(),
+        min_person_px=settings.min_person_px,
+        max_pixels=settings.max_pixels,
+        max_persons=settings.max_persons,
+    )
 
 
 def load_models(concurrency: int, min_person_px: float | None) -> Models:

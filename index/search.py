@@ -4,13 +4,9 @@ A silhouette does not show what lies inside its outline, and landmarks do not sh
 search finds entries that the other misses.
 """
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
-
-# With several OpenMP threads FAISS answers a single query more slowly and less exactly.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import faiss
 import numpy as np
@@ -111,8 +107,24 @@ class ExactNeighbours:
         scaled = np.ascontiguousarray(queries * self._factor, np.float32)
         if self._in_bytes:
             scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS) + _ZERO
-        squared, ids = self._faiss.search(scaled, k)
+        squared, ids = _search(self._faiss, scaled, k)
         return squared / self._factor**2, ids
+
+
+def _search(
+    vectors: Any, queries: NDArray[np.float32], k: int
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Search in this thread alone: with more, FAISS takes longer for few queries.
+
+    Each thread has its own number of OpenMP threads; that of the caller is restored.
+    """
+    threads = faiss.omp_get_max_threads()
+    faiss.omp_set_num_threads(1)
+    try:
+        squared, ids = vectors.search(queries, k)
+    finally:
+        faiss.omp_set_num_threads(threads)
+    return squared, ids
 
 
 def _byte_index(dimension: int) -> Any:
@@ -218,7 +230,7 @@ class LandmarkSearch:
             unrolled = rotate_clockwise(points_3d, -roll_deg)
             queries += [unrolled, mirrored_limbs(unrolled)]
         k = min(k, len(self))
-        squared, ids = self._faiss.search(pose_vectors(np.stack(queries)) + _ZERO, k)
+        squared, ids = _search(self._faiss, pose_vectors(np.stack(queries)) + _ZERO, k)
         variants = np.repeat(np.arange(len(queries)), k)
         squared, ids = squared.ravel(), ids.ravel()
         order = np.lexsort((ids, variants, squared))[:k]

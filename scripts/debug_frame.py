@@ -20,8 +20,8 @@ from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import Person
 from app.estimation.upload import Upload
+from app.photograph import load_estimator
 from app.scheduling.job import Job
-from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.geometry import PersonWindow, sample_window

@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index import DEFAULT_PATH

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.camera import CameraSession
 from app.estimation.upload import Upload
-from app.photograph import Estimator
+from app.photograph import Estimator, load_estimator
 from app.scheduling.job import Job
-from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.video import Frame

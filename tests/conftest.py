@@ -19,8 +19,7 @@ from hypothesis import settings as property_settings
 from numpy.typing import NDArray
 
 from app.main import create_app
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack

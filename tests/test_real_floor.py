@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from scripts.datasets import read_frames, read_lsp, read_pose2sim_joints
 from scripts.experiments.people import (

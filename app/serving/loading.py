@@ -16,7 +16,7 @@ from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSettings
 from app.http.identity import CAMERA_PATTERN
 from app.messages import located
-from app.photograph import Estimator, load_models
+from app.photograph import Estimator, load_estimator
 from app.scheduling.process import (
     freeze_loaded_objects,
     lower_thread_priority,
@@ -24,11 +24,10 @@ from app.scheduling.process import (
     trim_heap,
 )
 from app.serving.runtime import Runtime
-from app.settings import Settings, SettingsError
+from app.settings import SettingsError
 from app.vision.tflite import NetworkError
-from index.artefact import ArtefactError, load_index
+from index.artefact import ArtefactError
 from index.search import UnavailableError
-from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
 _CAMERAS = TypeAdapter(
@@ -66,31 +65,6 @@ log = logging.getLogger("app")
 
 POLL_S = 3.0
 """Interval at which Milvus is polled for the published index."""
-
-
-def load_estimator(
-    settings: Settings, read_index: Callable[[], PoseIndex] | None = None
-) -> Estimator:
-    """Load the networks and the index, by default from the folder in the settings.
-
-    Raises
-    ------
-    ArtefactError
-        If the index cannot be used.
-    NetworkError
-        If a network file shipped with the package is missing or has been modified.
-    """
-    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
-        models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
-        index = read_index() if read_index else load_index(settings.index)
-    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
-    return Estimator(
-        index,
-        models.result(),
-        min_person_px=settings.min_person_px,
-        max_pixels=settings.max_pixels,
-        max_persons=settings.max_persons,
-    )
 
 
 async def keep_index_loaded(

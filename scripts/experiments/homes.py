@@ -14,8 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from app.camera import CameraSession
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from index import posture
 from scripts.datasets import LOW, SITTING, UPRIGHT, HomeFilm, home_films

@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from app.camera import CameraSession
-from app.serving.loading import load_estimator
+from app.photograph import load_estimator
 from app.settings import Settings
 from scripts.datasets import frames_at, ordinary_films
 from scripts.helpers import track

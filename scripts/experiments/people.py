@@ -19,8 +19,7 @@ from tqdm import tqdm
 
 from app.camera import CameraSession
 from app.estimation.results import Person
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from app.tracking.results import TrackedFrame, TrackedPerson
 from app.vision.geometry import Box

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.photograph import Estimator
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from app.vision.detector import MIN_DETECTION_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix

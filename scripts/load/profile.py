@@ -17,10 +17,9 @@ import numpy as np
 from app.camera import CameraSession
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
-from app.photograph import Estimator
+from app.photograph import Estimator, load_estimator
 from app.scheduling.job import STAGES, Job, ParallelMap
 from app.scheduling.process import available_cores
-from app.serving.loading import load_estimator
 from app.settings import Settings
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES

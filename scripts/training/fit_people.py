@@ -20,8 +20,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.results import Person
-from app.photograph import Estimator, normalise_person
-from app.serving.loading import load_estimator
+from app.photograph import Estimator, load_estimator, normalise_person
 from app.settings import Settings
 from app.vision.detector import (
     DOUBTFUL,

@@ -14,9 +14,9 @@ from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
 from app.estimation.upload import Upload
+from app.photograph import load_estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
-from app.serving.loading import load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from app.vision.tflite import TfliteNetwork

@@ -11,7 +11,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.main import create_app
-from app.serving.loading import load_estimator
+from app.photograph import load_estimator
 from app.settings import Settings
 from index.artefact import load_index
 from tests.conftest import SHARED
