@@ -31,7 +31,7 @@ LISTED = {
 """Classes, or their attributes, whose arrays the table lists."""
 
 # Of these, an attribute is listed, since they show pixels or colours.
-_PICTURES = ("_Scene._now", "_Scene._searched", "Patch.grey", "Track.appearance")
+_PICTURES = ("_Scene._now", "_Scene._searched", "Patch.grey", "Track.colours")
 # These hold no data: what is reached through them is code, or the same for all sessions.
 _CODE = (type, ModuleType, FunctionType, BuiltinFunctionType, MethodType)
 _CONTAINERS = (list, tuple, dict, set, frozenset, deque)
@@ -91,7 +91,7 @@ def test_pictures_are_as_small_as_the_model_card_says(street: CameraSession) -> 
     # No smaller person is wanted than a twelfth of the photograph's 576 rows.
     assert shapes["_Scene._now"] == shapes["_Scene._searched"] == [(12 * 8, 89)]
     assert shapes["Patch.grey"] == [(16, 16)] * 5
-    assert shapes["Track.appearance"] == [(80,)] * 5
+    assert shapes["Track.colours"] == [(80,)] * 5
     # The rest are hypotheses of a frame, at most twelve skeletons.
     assert all(array.size <= 12 * 24 * 3 for arrays in kept.values() for array in arrays)
 
@@ -104,7 +104,7 @@ def test_a_person_who_has_left_is_forgotten(tiny_index: PoseIndex) -> None:
     for step in range(4, 30):
         send(session, step / 10, (1, 200))
     kept = kept_arrays(session)
-    assert len(kept["Patch.grey"]) == len(kept["Track.appearance"]) == 1
+    assert len(kept["Patch.grey"]) == len(kept["Track.colours"]) == 1
 
 
 @pytest.mark.parametrize("ends", ["forget", "idle", "number"])
