@@ -6,12 +6,18 @@ from typing import cast
 import numpy as np
 import pytest
 
-from app.cameras import CameraKey, CameraSessions, CameraTraffic
+from app.cameras import (
+    CameraKey,
+    CameraSessions,
+    CameraSettings,
+    CameraTraffic,
+    TooManyCamerasError,
+)
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
-from app.vision.optics import PinholeCamera
+from app.vision.optics import Optics, PinholeCamera
 
 UPLOAD = Upload(b"frame")
 
@@ -56,7 +62,9 @@ class FakeSession:
 class Registry(CameraSessions):
     """A registry of fakes, with a clock that is set by hand."""
 
-    def __init__(self, max_sessions: int = 3, max_memory_bytes: int = 1_000_000) -> None:
+    def __init__(
+        self, max_sessions: int = 3, max_memory_bytes: int = 1_000_000, *configured: str
+    ) -> None:
         self.now = 0.0
         self.began = 0
         self.ended: list[str] = []
@@ -67,6 +75,7 @@ class Registry(CameraSessions):
             max_sessions=max_sessions,
             idle_s=60,
             max_memory_bytes=max_memory_bytes,
+            configured=dict.fromkeys(configured, CameraSettings()),
             on_begin=self._begin,
             on_end=self.ended.append,
             clock=lambda: self.now,
@@ -112,9 +121,13 @@ def test_memory_is_bounded_but_the_newest_stays() -> None:
     registry.send("gate", n=4)
     registry.send("roof", n=4)
     assert registry.cameras() == ["gate", "roof"]
-    registry.send("roof", n=50)
-    assert registry.cameras() == ["roof"]
-    assert registry.ended == ["memory", "memory"]
+    registry.send("roof", n=6)  # Just within the limit.
+    assert registry.cameras() == ["gate", "roof"]
+    registry.send("yard", n=9)  # Two must make room.
+    assert registry.cameras() == ["yard"]
+    registry.send("yard", n=50)
+    assert registry.cameras() == ["yard"]
+    assert registry.ended == ["memory", "memory", "memory"]
 
 
 def test_idle_sessions_end() -> None:
@@ -186,3 +199,49 @@ def test_a_forgotten_camera_starts_afresh_even_if_busy() -> None:
     assert registry.cameras() == []
     assert registry.send("yard") == "new"
     assert registry.ended == ["forgotten"]
+
+
+def test_cameras_are_known_by_a_session_or_settings_or_the_file() -> None:
+    registry = Registry(3, 1_000_000, "hall")
+    yard, hall = CameraKey(0, "yard"), CameraKey(0, "hall")
+    assert registry.cameras() == ["hall"]
+    registry.configure(yard, CameraSettings(optics=Optics(fov_deg=60.0)))
+    registry.send("roof")
+    assert registry.cameras() == ["hall", "roof", "yard"]
+    assert registry.summary(hall).session is None and registry.events(yard) == ()
+    registry.now += 100
+    assert registry.cameras() == ["hall", "yard"]
+    registry.forget(yard)
+    registry.forget(hall)  # That of the file stays.
+    assert registry.cameras() == ["hall"]
+    for unknown in (yard, CameraKey(1, "yard"), CameraKey(0, "roof")):
+        with pytest.raises(KeyError):
+            registry.summary(unknown)
+
+
+def test_settings_of_a_camera_that_has_sent_nothing_make_room() -> None:
+    registry = Registry(max_sessions=2)
+    sending = CameraSettings(optics=Optics(fov_deg=60.0))
+    for name in ("yard", "gate"):
+        registry.configure(CameraKey(0, name), sending)
+    registry.send("yard")
+    registry.configure(CameraKey(0, "roof"), sending)  # In place of the gate's.
+    assert registry.cameras() == ["roof", "yard"]
+    registry.send("roof")
+    with pytest.raises(TooManyCamerasError, match="at most 2 cameras"):
+        registry.configure(CameraKey(0, "hall"), sending)
+    registry.configure(CameraKey(1, "hall"), sending)
+
+
+def test_another_index_ends_the_sessions_of_the_one_before() -> None:
+    registry = Registry()
+    registry.send("yard")
+    registry.end_others(registry.estimator)
+    assert registry.cameras() == ["yard"]
+    registry.estimator = cast(Estimator, object())
+    registry.end_others(registry.estimator)
+    assert registry.cameras() == []
+    registry.send("gate")
+    registry.estimator = cast(Estimator, object())
+    assert registry.send("gate") == "new"
+    assert registry.ended == ["index", "index"]

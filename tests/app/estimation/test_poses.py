@@ -14,6 +14,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.skeleton import (
     LIMBS,
+    OTHER_SIDE,
     POINT_NAMES,
     mirror_3d,
     rotate_clockwise,
@@ -220,6 +221,32 @@ def test_first_hypothesis_follows_the_landmarks_in_depth_and_another_one_does_no
         result.points_3d[:, limbs] + result.pelvis[:, None] - placed[limbs], axis=-1
     ).mean(axis=1)
     assert errors[0] < 0.5 * errors[1]
+
+
+def test_joints_are_seen_where_the_landmarks_are_as_far_as_these_are_visible() -> None:
+    placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
+    own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
+    limbs = rows(*LIMBS)
+    for visibility in (0.3, 0.9):
+        result = place_skeletons(
+            own[None], pixels[None] + [6.0, -4.0], landmarks_of(placed, visibility), CAMERA
+        )
+        off = result.points_2d[0, limbs] - pixels[limbs]
+        assert_allclose(off, np.tile((1 - visibility) * np.array([6.0, -4.0]), (len(limbs), 1)))
+
+
+def test_a_hypothesis_that_faces_the_other_way_meets_the_landmarks_of_its_other_side() -> None:
+    placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
+    own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
+    exchanged = pixels[OTHER_SIDE] + 0.1
+    result = place_skeletons(
+        np.array([own, own[OTHER_SIDE] * [1.0, 1.0, -1.0]]),
+        np.array([pixels, exchanged]),
+        landmarks_of(placed),
+        CAMERA,
+    )
+    limbs = rows(*LIMBS)
+    assert_allclose(result.points_2d[1, limbs], exchanged[limbs], atol=0.2)
 
 
 def test_alternatives_to_the_first_in_depth_keep_their_distance_from_it() -> None:

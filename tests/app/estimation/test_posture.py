@@ -118,3 +118,25 @@ def test_unreliable_frames_hardly_change_the_posture() -> None:
     for frame in range(1, 11):
         posture, _ = postures.update(frame / 10, votes("standing"), None, 1.0, NARROW, 0.1)
     assert posture.label == "lying"
+
+
+def test_landmarks_are_believed_and_votes_alone_are_calibrated() -> None:
+    seen, voted = frame_posture(sitting=0.7, standing=0.3), votes("walking")
+    with_landmarks, shares = PostureFilter().update(0.0, voted, seen, 1.0, NARROW)
+    assert with_landmarks == likeliest_posture(shares)
+    assert with_landmarks.probability == pytest.approx(0.7)
+    alone, _ = PostureFilter().update(0.0, voted, None, 1.0, NARROW)
+    assert alone.probability == estimate_posture(voted, None).probability
+
+
+def test_a_posture_fades_with_the_probability_of_a_person() -> None:
+    postures = PostureFilter()
+    first, _ = postures.update(0.0, votes("standing"), None, 1.0, NARROW)
+    for frame in range(1, 5):
+        last, _ = postures.update(frame / 10, votes("standing"), None, 0.0, NARROW)
+    assert last.probability == pytest.approx(np.exp(-1) * first.probability)
+
+
+def test_a_posture_for_which_nobody_votes_has_a_small_share() -> None:
+    shares = shares_of(frame_posture(standing=1.0), votes("walking"))
+    assert 0 < share(shares, "standing") < 0.01

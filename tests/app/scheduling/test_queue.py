@@ -15,6 +15,7 @@ from app.scheduling.queue import (
     ADMIT_SHARE,
     FairQueue,
     OverloadedError,
+    ShutdownError,
     SupersededError,
     Ticket,
 )
@@ -260,9 +261,71 @@ class TestAdmission:
         queue.enqueue("a", "photograph", unbounded_wait=True)
         assert queue.in_flight == 3
 
+    async def test_a_light_caller_is_admitted_where_a_heavy_one_is_not(self) -> None:
+        queue, _ = one_second_each()
+        queue.enqueue("heavy", "photograph")
+        waiting = queue.enqueue("heavy", "photograph")
+        with pytest.raises(OverloadedError):
+            queue.check("heavy")
+        queue.check("light")
+        light = queue.enqueue("light", "photograph")
+        for _ in range(3):
+            queue.enqueue("heavy", "photograph", unbounded_wait=True)
+        # Each is told when a frame of its own could begin.
+        soon, late = (queue.expire(ticket).retry_after_s for ticket in (light, waiting))
+        assert soon is not None and late is not None and soon < late
+
+    async def test_abandoned_work_teaches_no_duration(self) -> None:
+        queue, clock = one_second_each()
+        ticket = queue.enqueue("a", "photograph")
+        clock.now += 100
+        queue.release(ticket)
+        queue.enqueue("a", "photograph")
+        assert queue.load() == pytest.approx(1 / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
+
+
+async def test_idle_time_gives_no_credit() -> None:
+    """Whoever waited while another one worked alone takes turns with them, and is not first."""
+    queue, clock = one_second_each()
+    for _ in range(10):
+        alone = queue.enqueue("busy", "photograph")
+        clock.now += 1
+        queue.release(alone, worked=True)
+    working = queue.enqueue("other", "photograph")
+    waiting = {
+        queue.enqueue(caller, "photograph", unbounded_wait=True): caller
+        for caller in ("busy", "idle")
+        for _ in range(4)
+    }
+    order = ""
+    while waiting:
+        clock.now += 1
+        queue.release(working, worked=True)
+        (working,) = (ticket for ticket in waiting if ticket.begun.done())
+        order += waiting.pop(working)[0]
+    assert order in ("bibibibi", "ibibibib", "ibbibibi", "biibibib"), order
+
+
+async def test_a_closed_queue_begins_nothing() -> None:
+    queue, _ = one_second_each()
+    working, waiting = (queue.enqueue("a", "photograph") for _ in range(2))
+    queue.close()
+    assert waiting.begun.result() is ShutdownError
+    queue.release(working)
+    late = queue.enqueue("a", "photograph")
+    assert not late.begun.done()
+
 
 class TestCameras:
     """Frames of live cameras, one thread."""
+
+    async def test_a_frame_that_would_replace_a_waiting_one_is_always_admitted(self) -> None:
+        queue, _ = one_second_each()
+        queue.enqueue("a", "photograph")
+        queue.enqueue("a", "photograph", "yard")
+        queue.check("a", "yard")
+        with pytest.raises(OverloadedError):
+            queue.check("a", "gate")
 
     async def test_a_newer_frame_replaces_the_waiting_one(self) -> None:
         queue = FairQueue(1, MAX_WAIT_S)

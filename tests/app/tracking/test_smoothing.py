@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from app.estimation.results import Person
+from app.estimation.results import Facing, Person
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.vision.people import Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
-from index.skeleton import POINTS, bone_lengths, wrap_degrees
+from index.skeleton import POINT_NAMES, POINTS, bone_lengths, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
 ELEVATION_DEG = 20.0
@@ -161,3 +162,83 @@ def test_a_sitting_person_does_not_walk_however_fast_the_chair() -> None:
         for frame in range(20)
     ]
     assert likeliest(follow(people)[-1]) == "sitting"
+
+
+def arms_raised(degrees: float) -> NDArray[np.float64]:
+    """The standing body with its arms raised sideways, from in front."""
+    body, angle = seen_from(0.0), np.deg2rad(degrees)
+    for side in ("left", "right"):
+        shoulder = body[POINT_NAMES.index(f"{side}_shoulder")]
+        sign = np.sign(shoulder[0])
+        for joint in ("elbow", "wrist"):
+            row = POINT_NAMES.index(f"{side}_{joint}")
+            length = np.linalg.norm(body[row] - shoulder)
+            body[row] = shoulder + length * np.array([sign * np.sin(angle), np.cos(angle), 0])
+    return body
+
+
+def share_after(seconds: float, fps: int) -> float:
+    """Share of a pose that is always a little likelier than another one."""
+    smoother = PoseSmoother()
+    person = person_of(
+        [arms_raised(0.0), arms_raised(20.0)], [0.52, 0.48], postures=["standing", "bending"]
+    )
+    for frame in range(round(seconds * fps) + 1):
+        smoothed = smoother.update(person, frame / fps)
+    assert smoothed is not None
+    return float(smoothed.votes[POSTURES.index("standing")])
+
+
+def test_more_frames_a_second_are_no_more_evidence() -> None:
+    assert share_after(1.0, 10) == pytest.approx(share_after(1.0, 40), abs=0.05)
+    assert share_after(1.0, 10) < 0.9
+
+
+@pytest.mark.parametrize(("gap_s", "follows"), [(0.1, False), (20.0, True)])
+def test_the_sooner_a_pose_changes_the_more_evidence_it_needs(gap_s: float, follows: bool) -> None:
+    low, high = arms_raised(0.0), arms_raised(150.0)
+    smoother = PoseSmoother()
+    for frame in range(3):
+        smoother.update(person_of([low, high], [0.7, 0.3]), frame / 10)
+    last = smoother.update(person_of([high, low], [0.7, 0.3]), 0.2 + gap_s)
+    assert last is not None
+    assert (last.pose.entry == 0) == follows
+
+
+def test_poses_far_from_the_likeliest_do_not_blend_with_it() -> None:
+    low, high = arms_raised(0.0), arms_raised(170.0)
+    last = follow([person_of([low, high], [0.6, 0.55])] * 5)[-1]
+    mixed = np.linalg.norm(last.pose.points_3d - low, axis=-1).mean()
+    assert mixed < 0.45 * np.linalg.norm(high - low, axis=-1).mean() * 0.55
+
+
+def test_a_steady_turn_is_followed_without_lag() -> None:
+    turns = np.arange(0.0, 60.0, 3.0).tolist()
+    last = follow([person_of([seen_from(azimuth)], [0.8]) for azimuth in turns])[-1]
+    assert azimuth_deg(last.pose.points_3d[None])[0] == pytest.approx(turns[-1], abs=1.0)
+
+
+def test_the_number_of_hypotheses_may_change_from_frame_to_frame() -> None:
+    poses = [seen_from(azimuth) for azimuth in (0.0, 5.0, 40.0, 170.0)]
+    people = [person_of(poses[:count], [0.5, 0.4, 0.3, 0.2][:count]) for count in (4, 2, 1, 3, 4)]
+    for update in follow(people):
+        assert abs(azimuth_deg(update.pose.points_3d[None])[0]) < 20
+        assert update.elevation_deg == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(("height_px", "keeps"), [(60.0, True), (400.0, False)])
+def test_small_upright_people_keep_the_side_that_they_show(height_px: float, keeps: bool) -> None:
+    """Landmarks of small people seen from the side flip; those of large ones do not."""
+    azimuths = [60.0] * 10 + [110.0] * 2
+    people = [person_of([seen_from(azimuth)], [0.9]) for azimuth in azimuths]
+    last = follow(
+        [
+            replace(
+                person,
+                box=replace(person.box, height=height_px),
+                facing=Facing(0.9, "image"),
+            )
+            for person in people
+        ]
+    )[-1]
+    assert (azimuth_deg(last.pose.points_3d[None])[0] < 90) == keeps
