@@ -81,11 +81,7 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
     wait([watching], STOPS_WITHIN_S)
     if home_assistant:
         home_assistant.hide()
-    deadline = time.monotonic() + STOPS_WITHIN_S
-    while time.monotonic() < deadline and len(signals) < 2:
-        if not len(outbox) and not (home_assistant and home_assistant.news()):
-            break
-        time.sleep(_POLL_S)
+    _let_go(outbox, home_assistant, signals)
     closing.set()
     if len(outbox):
         say(f"{len(outbox)} deliveries {fate(options.queue, outbox.save())}")
@@ -96,6 +92,15 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
             print(f"{PROGRAM}: the service refuses: {refusal}", file=sys.stderr)
             return 1
     return 0
+
+
+def _let_go(outbox: Outbox, home_assistant: HomeAssistant | None, signals: Sequence[int]) -> None:
+    """Wait a while until all is delivered; a second signal ends that."""
+    deadline = time.monotonic() + STOPS_WITHIN_S
+    while time.monotonic() < deadline and len(signals) < 2:
+        if not len(outbox) and not (home_assistant and home_assistant.news()):
+            break
+        time.sleep(_POLL_S)
 
 
 def fate(queue: Path | None, is_saved: bool) -> str:

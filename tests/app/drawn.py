@@ -35,11 +35,14 @@ class ColourDetector:
         """Whether it finds nobody."""
         self.room = 0
         """Pixels that boxes are too wide on either side."""
+        self.lost: Sequence[Box] = ()
+        self.known: Sequence[Box] = ()
 
     def detect(
         self, frame: NDArray[np.uint8], lost: Sequence[Box] = (), known: Sequence[Box] = ()
     ) -> tuple[list[Detection], list[Detection]]:
         self.searches += 1
+        self.lost, self.known = lost, known
         boxes = []
         for colour in () if self.blind else COLOURS:
             mask = (np.abs(frame.astype(int) - colour).sum(axis=2) < 60).astype(np.uint8)

@@ -11,7 +11,7 @@ from app.tracking.track import BoxFilter, Track, associate
 from app.tracking.zones import Zone
 from app.vision.appearance import Patch, colour_distance, colours_of
 from app.vision.geometry import Box
-from app.vision.judgement import Trust
+from app.vision.judgement import FramePosture, Trust
 from app.vision.people import Silhouette
 from tests.app.tracking.people import person_of, seen_from
 
@@ -127,6 +127,24 @@ def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() ->
     assert kept.pose is not None and kept.posture == shown.posture
     lost, _ = track.update(hidden, 9.0)
     assert lost.pose is None and lost.posture is None
+
+
+@pytest.mark.parametrize("doubtful", ["landmarks", "nothing"])
+def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful: str) -> None:
+    trust = Trust(0.99, 0.01 if doubtful == "landmarks" else 0.98)
+    upright, lying = (FramePosture(np.eye(6)[row]) for row in (0, 5))
+    person = replace(person_of([seen_from(0.0)], [0.9]), frame_posture=upright, presence=0.99,
+                     trust=Trust(0.99, 0.98))  # fmt: skip
+    track = track_of(person)
+    track.confirm(1, 0.0, [])
+    track.update(person, 0.0)
+    low = replace(person, frame_posture=lying, trust=trust)
+    track.see(low, 0.2)
+    tracked, _ = track.update(low, 0.2)
+    assert tracked.posture is not None
+    share = tracked.posture.share(["lying", "crawling"])
+    kept = np.exp(-0.2 / 0.4 * (0.01**0.25 if doubtful == "landmarks" else 0.98**0.25))
+    assert share == pytest.approx(1 - kept, abs=0.02)
 
 
 def test_only_a_confirmed_track_has_results() -> None:

@@ -1,6 +1,7 @@
 """Reading one person: the right one of several windows, fused with MoveNet's keypoints."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,6 +29,8 @@ from app.vision.person_reader import (
     without_bodies,
 )
 from app.vision.truncation import attenuate_visibility_at_border
+from index.skeleton import other_side
+from tests.app.painted import keypoints_on, painted
 
 
 @pytest.fixture(scope="module")
@@ -210,3 +213,34 @@ def test_bodies_of_others_are_grey_about_a_person(
     assert grey_share(other) > 0.9 and grey_share(own) == 0
     same_place = without_bodies(street, walkers[2], other, [readings[2]])
     assert (same_place == 127).all(axis=2).sum() < grey.sum()
+
+
+class Sees:
+    """A landmark network and MoveNet in one: a reading for each window, the same keypoints."""
+
+    def __init__(
+        self, readings: dict[PersonWindow, PoseReading], other: PoseReading, at: ObservedKeypoints
+    ) -> None:
+        self.readings, self.other, self.keypoints = readings, other, at
+
+    def read(self, frame: NDArray[np.uint8], where: PersonWindow | Box) -> Any:
+        if isinstance(where, Box):
+            return self.keypoints
+        return self.readings.get(where, self.other)
+
+
+@pytest.mark.parametrize(("size", "is_noticed"), [(500, True), (300, False)])
+def test_exchanged_sides_of_a_large_person_are_noticed_and_read_again(
+    size: int, is_noticed: bool
+) -> None:
+    """Of people who are not large, MoveNet does not look at every frame."""
+    right = painted(Box(20, 20, size / 2, size), width=0.5)
+    swap = [LANDMARK_NAMES.index(other_side(name)) for name in LANDMARK_NAMES]
+    marks = right.landmarks
+    exchanged = replace(right, landmarks=replace(marks, positions=marks.positions[swap]))
+    networks: Any = Sees({right.window: exchanged}, right, keypoints_on(right))
+    reader = PersonReader(networks, networks, networks)
+    found = reader.follow(np.zeros((9, 9, 3), np.uint8), right.window)
+    assert found is not None
+    expected = right if is_noticed else exchanged
+    assert_allclose(found.landmarks.positions, expected.landmarks.positions)

@@ -9,16 +9,16 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARK_PX, PoseReading
-from app.vision.geometry import Box, PersonWindow, transform_points
+from app.vision.geometry import Box
 from app.vision.masks import LabelImage
-from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.people import Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.same_person import first_of_body
 from app.vision.silhouettes import (
     silhouettes_from_labels,
     silhouettes_of,
 )
+from tests.app.painted import painted
 
 SHAPE = (240, 320, 3)
 
@@ -26,24 +26,6 @@ SHAPE = (240, 320, 3)
 def mask_of(one: Silhouette | None, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     assert one is not None
     return one.mask(shape)
-
-
-def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0) -> PoseReading:
-    """A reading of an ellipse in a box, surest in its middle; the bones are its axis."""
-    window = PersonWindow.about_box(box, roll_deg)
-    grid = np.stack(np.meshgrid(np.arange(LANDMARK_PX), np.arange(LANDMARK_PX)), axis=-1)
-    x, y = np.moveaxis(transform_points(window.to_frame(LANDMARK_PX), grid), -1, 0)
-    middle = np.array([box.x + box.width / 2, box.y + box.height / 2])
-    across, down = 2 * (x - middle[0]) / box.width, 2 * (y - middle[1]) / box.height
-    probability = peak * np.clip(1.3 - across**2 - down**2, 0, 1)
-    heights = {"nose": 0.05, "shoulder": 0.2, "hip": 0.5, "knee": 0.7, "ankle": 0.95}
-    shares = [
-        next((at for part, at in heights.items() if name.endswith(part)), 0.5)
-        for name in LANDMARK_NAMES
-    ]
-    positions = np.stack([np.full(33, middle[0]), box.y + np.array(shares) * box.height], axis=1)
-    landmarks = Landmarks(positions, np.ones(33), np.zeros((33, 3)))
-    return PoseReading(window, landmarks, 1.0, window, probability.astype(np.float32))
 
 
 def cut_out(boxes: list[Box], *, exact: bool = True) -> list[Silhouette | None]:

@@ -1,0 +1,84 @@
+"""Readings of painted bodies, and a reader that knows them, for tests without networks."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.geometry import Box, PersonWindow, transform_points
+from app.vision.people import (
+    COCO_LANDMARKS,
+    LANDMARK_NAMES,
+    Detection,
+    Landmarks,
+    ObservedKeypoints,
+)
+
+
+def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 0.0) -> PoseReading:
+    """A reading of an ellipse in a box, surest in its middle; the bones are its axis.
+
+    The two sides may be apart by a share of the box's width.
+    """
+    window = PersonWindow.about_box(box, roll_deg)
+    grid = np.stack(np.meshgrid(np.arange(LANDMARK_PX), np.arange(LANDMARK_PX)), axis=-1)
+    x, y = np.moveaxis(transform_points(window.to_frame(LANDMARK_PX), grid), -1, 0)
+    middle = np.array([box.x + box.width / 2, box.y + box.height / 2])
+    across, down = 2 * (x - middle[0]) / box.width, 2 * (y - middle[1]) / box.height
+    probability = peak * np.clip(1.3 - across**2 - down**2, 0, 1)
+    heights = {"nose": 0.05, "shoulder": 0.2, "hip": 0.5, "knee": 0.7, "ankle": 0.95}
+    shares = [
+        next((at for part, at in heights.items() if name.endswith(part)), 0.5)
+        for name in LANDMARK_NAMES
+    ]
+    sides = np.array(
+        [name.startswith("left") - name.startswith("right") for name in LANDMARK_NAMES]
+    )
+    across = middle[0] + sides * width / 2 * box.width
+    positions = np.stack([across, box.y + np.array(shares) * box.height], axis=1)
+    landmarks = Landmarks(positions, np.ones(33), np.zeros((33, 3)))
+    return PoseReading(window, landmarks, 1.0, window, probability.astype(np.float32))
+
+
+def keypoints_on(reading: PoseReading, x: float = 0.0, y: float = 0.0) -> ObservedKeypoints:
+    """Keypoints on the landmarks of a reading, or beside them."""
+    positions = reading.landmarks.positions[COCO_LANDMARKS] + np.array([x, y])
+    return ObservedKeypoints(positions, np.full(17, 0.9))
+
+
+@dataclass
+class KnownReader:
+    """Reads the bodies of the windows and boxes it was told, and those beside others."""
+
+    shown: dict[Box | PersonWindow, PoseReading | None]
+    hidden: dict[Box, PoseReading] = field(default_factory=dict)
+    others: list[int] = field(default_factory=list)
+    """Number of bodies that were painted over each time."""
+
+    def read(self, frame: NDArray[np.uint8], box: Box, *_: Any) -> PoseReading | None:
+        return self.shown[box]
+
+    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
+        return self.shown[window]
+
+    def read_beside(
+        self, frame: NDArray[np.uint8], box: Box, keypoints: Any, others: Sequence[PoseReading]
+    ) -> PoseReading | None:
+        self.others.append(len(others))
+        return self.hidden.get(box)
+
+    def with_mask(self, reading: PoseReading) -> PoseReading:
+        return reading
+
+
+def detected(reading: PoseReading, box: Box, score: float = 0.9, **moved: float) -> Detection:
+    """A detection with keypoints on a body, or beside it."""
+    return Detection(box, score, keypoints_on(reading, **moved))
+
+
+def unseen(reading: PoseReading, presence: float = 0.1) -> PoseReading:
+    """The same reading of a window in which the network hardly sees anybody."""
+    return replace(reading, presence=presence)
