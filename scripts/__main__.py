@@ -26,10 +26,6 @@ COMMANDS = {
         "scripts.training.train_postures",
         "train the postures of photographs on what was read",
     ),
-    "train-movenet": (
-        "scripts.training.train_movenet",
-        "train MoveNet's backbone for 8 bits on rendered people",
-    ),
     "fit-people": (
         "scripts.training.fit_people",
         "fit detection scores and confidence to photographs",

@@ -4,8 +4,7 @@
     python3 -m venv .venv-convert && .venv-convert/bin/pip install tensorflow-cpu==2.16.2 numpy
     .venv-convert/bin/python scripts/convert.py movenet package/models/movenet-multipose.json \
       --out /tmp/movenet
-    .venv-build/bin/python -m scripts train-movenet --out /tmp/movenet/trained.npz \
-      --network /tmp/movenet/movenet_multipose.tflite
+    # Revision 28ea9a5 has `train-movenet`, which writes trained.npz; docs/training.md.
     .venv-convert/bin/python scripts/convert.py movenet package/models/movenet-multipose.json \
       --trained /tmp/movenet/trained.npz
 
@@ -18,7 +17,7 @@
 MoveNet MultiPose Lightning comes as a TF.js package. The raw heads of the network become its
 outputs: decoded by ``app/vision/movenet.py``, they give more than the six people of the
 published graph. First it is converted in floating point, then its backbone in 8 bits, which
-``train-movenet`` prepares it for; sums of whole numbers are the same on every processor. No 8-bit
+a training has prepared it for; sums of whole numbers are the same on every processor. No 8-bit
 layer follows one in floating point, which could enlarge the last digits in which processors differ.
 Run it in an environment of its own, since ``tensorflow-cpu`` shares no
 requirements with the service; this file imports nothing of the project.
@@ -320,7 +319,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("network", choices=converters)
     parser.add_argument("source", type=Path, help="the published network, as above")
-    parser.add_argument("--trained", type=Path, help="of train-movenet; else in floating point")
+    parser.add_argument("--trained", type=Path, help="trained for 8 bits; else in floating point")
     parser.add_argument("--out", type=Path, default=MODELS)
     options = parser.parse_args(arguments)
     if options.source.resolve().parent == options.out.resolve():
