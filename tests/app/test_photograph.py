@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app import photograph
 from app.camera import CameraSession
 from app.estimation.results import Person
 from app.estimation.upload import Upload, UploadError
-from app.photograph import Estimator, network_threads
+from app.photograph import Estimator, fit_poses, network_threads, normalise_person
 from app.scheduling.job import DeadlineError, Job
 from app.vision.blazepose import MaskNetwork, PoseReading
 from app.vision.geometry import Box
-from app.vision.optics import Optics
-from app.vision.people import Landmarks
+from app.vision.optics import Optics, PinholeCamera
+from app.vision.people import LANDMARK_NAMES, Landmarks
 from app.vision.person_reader import PersonReader
+from index.landmark_matching import match_landmarks
+from index.matching import Match
 from index.posture import LOW
 from tests.conftest import WALKERS, Photo, png
 from tests.support.jobs import ShortJob
@@ -185,6 +188,44 @@ def test_boxes_and_masks_of_lying_people_are_read(
         roll_deg = person.hypotheses[0].label.roll_deg - LEAN_DEG[quarter_turns]
         assert abs((roll_deg + 180) % 360 - 180) <= 45
         assert person.hypotheses[0].posture in LOW
+
+
+def test_a_window_that_may_show_nobody_has_less_confidence(
+    estimator: Estimator, walker: Person, street: NDArray[np.uint8]
+) -> None:
+    camera = PinholeCamera.of_frame(street.shape[:2])
+    sure, doubtful = (
+        fit_poses(
+            estimator.index, replace(walker, presence=presence), normalise_person(walker), camera, 5
+        )
+        for presence in (1.0, 0.4)
+    )
+    assert [one.confidence for one in doubtful.hypotheses] == pytest.approx(
+        [0.4 * one.confidence for one in sure.hypotheses]
+    )
+    assert sure.posture is not None and doubtful.posture is not None
+    assert doubtful.posture.probability <= 0.4 * sure.posture.probability + 1e-9
+    assert doubtful.posture.label == "unclear"
+
+
+@pytest.mark.parametrize("feet", [True, False])
+def test_people_whose_feet_are_not_seen_do_not_walk(
+    estimator: Estimator, walker: Person, monkeypatch: pytest.MonkeyPatch, feet: bool
+) -> None:
+    def match_walkers(*args: Any, **options: Any) -> Match:
+        found = match_landmarks(*args, **options)
+        voters = [replace(one, posture="walking") for one in found.voters]
+        return replace(found, voters=voters)
+
+    monkeypatch.setattr(photograph, "match_landmarks", match_walkers)
+    visibility = landmarks_of(walker).visibility.copy()
+    for name in ("left_ankle", "right_ankle"):
+        visibility[LANDMARK_NAMES.index(name)] = 0.9 if feet else 0.0
+    one = replace(walker, landmarks=replace(landmarks_of(walker), visibility=visibility))
+    camera = PinholeCamera.of_frame((576, 536))
+    posture = fit_poses(estimator.index, one, normalise_person(one), camera, 5).posture
+    assert posture is not None
+    assert (posture.share(["walking"]) > 0.5) == feet
 
 
 def test_box_without_a_silhouette_has_no_poses(
