@@ -104,6 +104,12 @@ def test_the_bridge_loads_nothing_of_the_service() -> None:
     assert {"faiss", "fastapi", "ai_edge_litert", "index"}.isdisjoint(loaded)
 
 
+def test_the_page_on_vision_names_every_module_of_it() -> None:
+    named = set(re.findall(r"`(\w+\.py)`", (ROOT / "docs" / "vision.md").read_text()))
+    ours = {file.name for file in (ROOT / "app" / "vision").glob("*.py")} - {"__init__.py"}
+    assert ours <= named
+
+
 def test_vision_knows_nothing_but_images() -> None:
     vision = [path for path in MODULES if path.startswith("app/vision/")]
     for path in vision:
