@@ -133,8 +133,9 @@ def test_a_posture_fades_with_the_probability_of_a_person() -> None:
     postures = PostureFilter()
     first, _ = postures.update(0.0, votes("standing"), None, 1.0, NARROW)
     for frame in range(1, 5):
-        last, _ = postures.update(frame / 10, votes("standing"), None, 0.0, NARROW)
-    assert last.probability == pytest.approx(np.exp(-1) * first.probability)
+        last, _ = postures.update(frame / 10, votes("standing"), None, 0.2, NARROW)
+    presence = np.exp(-1) + (1 - np.exp(-1)) * 0.2
+    assert last.probability == pytest.approx(presence * first.probability)
 
 
 def test_a_posture_for_which_nobody_votes_has_a_small_share() -> None:
