@@ -52,8 +52,13 @@ COMMANDS = {
 MOVED = {"watch-camera": "`silhouette-pose-watch` or `python -m app.bridge`"}
 """Commands of the last release and where they went."""
 
-_SMALLER = {"track_video": ".venv", "load": ".venv-dev"}
-"""Environments of gigabytes less than ``.venv-build`` that have what some modules need."""
+_SMALLER = {
+    "track_video": (".venv", ".venv/.stamp"),
+    "load": (".venv-dev", ".venv-dev/.stamp"),
+    "mutants": (".venv-dev", "mutants"),
+}
+"""Environments of gigabytes less than ``.venv-build`` that have what some modules need, and the
+targets of make that install it."""
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -77,9 +82,11 @@ def main(arguments: Sequence[str]) -> int:
         if not error.name or error.name.startswith("scripts"):
             raise
         package = error.name.partition(".")[0]
-        folder = _SMALLER.get(COMMANDS[name][0].split(".")[1], ".venv-build")
+        folder, target = _SMALLER.get(
+            COMMANDS[name][0].split(".")[1], (".venv-build", ".venv-build/.stamp")
+        )
         message = (
-            f"expected the package {package}, which `make {folder}/.stamp` installs: "
+            f"expected the package {package}, which `make {target}` installs: "
             f"then `{folder}/bin/python -m scripts {name}`"
         )
     except (OSError, ValueError) as error:

@@ -7,6 +7,7 @@ names the modules. ``mutmut show NAME`` shows a mutant again, ``mutmut run NAME`
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -53,7 +54,11 @@ def main(arguments: Sequence[str]) -> int:
         total = sum(module_of(name) == module for name in chosen)
         print(f"| {module} | {total} | {len(unnoticed[module])} |")
     share = 100 * sum(map(len, unnoticed.values())) / len(chosen)
-    print(f"{share:.1f} % of {len(chosen)} mutants (seed {options.seed}) are not noticed")
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    print(
+        f"{share:.1f} % of {len(chosen)} mutants (seed {options.seed}) are not noticed; "
+        f"the tests took {used.ru_utime + used.ru_stime:.0f} core-seconds"
+    )
     return int(share > options.most)
 
 
