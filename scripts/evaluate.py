@@ -7,6 +7,7 @@
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate homes        films of homes as camera sessions, by source
     python -m scripts evaluate ordinary     films in which nobody falls: alarms an hour
+    python -m scripts evaluate background   people as differences from a picture of the empty scene
     python -m scripts evaluate actions      actions, postures and falls of tracks
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
@@ -30,6 +31,7 @@ EXPERIMENTS = {
     "photographs": "photographs",
     "homes": "homes",
     "ordinary": "ordinary",
+    "background": "background",
     "actions": "actions",
     "tracking": "tracking",
 }

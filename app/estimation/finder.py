@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
-from app.vision.background import BackgroundSegmenter
+from app.vision.background import cut_out_changed, foreground, upright_regions
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.tiles import smallest_person_px
@@ -130,17 +130,18 @@ class PeopleFinder:
                 silhouettes = silhouettes_from_labels(upload.mask)
             marked = [Detection(one.box, 1.0) for one in silhouettes]
             return "mask", marked, [], lambda _: silhouettes
-        scene = cut = None
+        changed = cut = None
         if upload.background is not None:
-            smallest = smallest_person_px(frame.shape, self.min_person_px)
-            scene = BackgroundSegmenter(upload.background, min_person_px=smallest)
-            cut = partial(scene.segment, frame, checkpoint=job.checkpoint)
+            with job.stage("segment"):
+                changed = foreground(frame, upload.background)
+            cut = partial(cut_out_changed, changed, checkpoint=job.checkpoint)
         if upload.boxes is not None:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes], [], cut
-        if scene is None:
+        if changed is None:
             return "detector", *self.search(frame, job), cut
+        smallest = smallest_person_px(frame.shape, self.min_person_px)
         with job.stage("detect"):
-            found = scene.detect(frame)[: self.max_persons]
+            found = upright_regions(changed, smallest)[: self.max_persons]
         job.checkpoint()
         return "background", found, [], cut
 

@@ -1,6 +1,5 @@
-"""Silhouettes of people, as the differences from a picture of the empty scene."""
+"""People as the differences between a frame and a picture of the empty scene."""
 
-import math
 from collections.abc import Callable, Sequence
 
 import cv2
@@ -8,285 +7,106 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, shrink_quickly
-from app.vision.images import turn_of
 from app.vision.masks import fill_small_holes, keep_components
 from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.truncation import with_truncation
 
-_MIN_HEIGHT_SHARE = 0.8  # Height of a region, relative to the smallest person wanted.
-_HEIGHT_PER_GAP = 12.0  # Height of that person relative to gaps closed within a body.
-_MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
-_MAX_HOLE = 0.05  # Area relative to the mask; larger holes stay.
-
-
-class BackgroundSegmenter:
-    """Cuts people out by their difference from a picture of the empty scene.
-
-    The picture ``(H, W, 3)``, BGR, is from the same fixed camera; the smallest person wanted is
-    ``min_person_px`` high. The difference is kept for further calls with the same frame.
-    """
-
-    def __init__(self, background: NDArray[np.uint8], *, min_person_px: float = 50) -> None:
-        self._background = background
-        self._min_person_px = min_person_px
-        self._compared: tuple[NDArray[np.uint8], NDArray[np.bool_]] | None = None
-
-    def detect(self, frame: NDArray[np.uint8]) -> list[Detection]:
-        """Find people as upright regions of change.
-
-        The score, at most 0.9, says how much a region's size, proportions and solidity resemble a
-        person; the best comes first. People who touch in the frame are found as one.
-
-        Raises
-        ------
-        ValueError
-            If the frame ``(H, W, 3)`` does not have the size of the background.
-        """
-        min_height = _MIN_HEIGHT_SHARE * self._min_person_px
-        rows, columns = frame.shape[:2]
-        is_too_thin = rows < min_height or columns < _ASPECT[0] * min_height
-        if is_too_thin and frame.shape == self._background.shape:
-            return []
-        step = math.ceil(math.sqrt(rows * columns / MAX_PX))
-        changed = self._changed(frame)[::step, ::step]
-        # Closing joins the parts of a body, for example if its belt has the pavement's colour.
-        reach = max(1, round(self._min_person_px / step / _HEIGHT_PER_GAP))
-        kernel: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
-        joined = cv2.morphologyEx(changed.astype(np.uint8), cv2.MORPH_CLOSE, kernel)
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(joined)
-        found = []
-        high = np.flatnonzero(stats[1:count, cv2.CC_STAT_HEIGHT] >= min_height / step) + 1
-        for label, (left, top, width, height, _) in zip(high, stats[high].tolist(), strict=True):
-            part = np.s_[top : top + height, left : left + width]
-            own = changed[part] & (labels[part] == label)
-            score = _likeness(width / height, float(own.mean()))
-            if score > 0:
-                box = Box(step * left - 0.5, step * top - 0.5, step * width, step * height)
-                found.append(Detection(box, score))
-        return sorted(found, key=lambda one: -one.score)
-
-    def segment(
-        self,
-        frame: NDArray[np.uint8],
-        boxes: Sequence[Box],
-        checkpoint: Callable[[], None] = lambda: None,
-    ) -> list[Silhouette | None]:
-        """Cut out the person in each box of a frame ``(H, W, 3)``; None where nothing changed.
-
-        Where boxes overlap, a pixel goes to the box whose middle is nearer, in widths of the boxes.
-        ``checkpoint`` is called before each person; it raises an error if the work is no longer
-        wanted.
-        """
-        height, width = frame.shape[:2]
-        changed = self._changed(frame)
-        found: list[Silhouette | None] = []
-        for row, whole in enumerate(boxes):
-            checkpoint()
-            box = whole.clip(width, height)
-            if box is None:
-                found.append(None)
-                continue
-            left, top, right, bottom = box.pixels()
-            mask = changed[top:bottom, left:right].copy()
-            for other in (*boxes[:row], *boxes[row + 1 :]):
-                if box.intersection(other) > 0:
-                    mask &= ~_nearer_to_other(box, other, mask.shape)
-            mask = fill_small_holes(keep_components(mask, _MIN_PART), _MAX_HOLE)
-            found.append(silhouette_from_mask(mask, left=left, top=top, segmenter="background"))
-        return with_truncation(found, boxes, frame.shape)
-
-    def _changed(self, frame: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Pixels ``(H, W)`` that differ from the scene."""
-        compared = self._compared
-        if compared is None or compared[0] is not frame:
-            with turn_of(frame.shape[0] * frame.shape[1]):
-                changed = foreground(frame, self._background)
-            compared = self._compared = frame, changed
-        return compared[1]
-
-
-MAX_PX = 1920 * 1080
-"""Larger frames are reduced: one of 12 megapixels took 13 s and 2 GB."""
-
-_REDUCED = 2 / 3  # Their sides then, relative to the largest: comparing takes 70 bytes a pixel.
-_BLUR_PX = 0.8  # Standard deviation of the blur before frames are compared.
-# Difference, in standard deviations of the noise, from which a pixel has certainly changed, and
-# from which a pixel connected to such a one has changed.
-_CERTAIN_DISTANCE = 8.0
-_POSSIBLE_DISTANCE = 4.0
+_MAX_PX = 1920 * 1080  # Larger frames are reduced, since a pixel takes 60 bytes.
+# Grey levels that compression and vibration leave; chosen on people pasted into a street.
+_MIN_NOISE = 4.0
 
 
 def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels that differ from the background by more than exposure, noise and shadow explain.
+    """Pixels ``(H, W)`` that changed by more than exposure, noise and shadow explain.
 
-    Exposure is a gain and an offset for each channel, fitted to the pixels that agree; the noise is
-    estimated from what remains. A shadow dims all channels alike and evenly.
-
-    Both pictures are ``(H, W, 3)``, BGR; ``ValueError`` if their shapes differ.
+    OpenCV's mixture of Gaussians (Zivkovic, 2004) learns the background as one picture, in the
+    exposure of the frame. Both are ``(H, W, 3)``, BGR; ``ValueError`` if their shapes differ.
     """
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")
     height, width = frame.shape[:2]
-    if height * width > MAX_PX:
-        factor = _REDUCED * math.sqrt(MAX_PX / (height * width))
-        size = max(1, int(factor * width)), max(1, int(factor * height))
-        reduced = foreground(shrink_quickly(frame, *size), shrink_quickly(background, *size))
-        return cv2.resize(
-            reduced.view(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST
-        ).view(np.bool_)
+    factor = min(1.0, (_MAX_PX / (height * width)) ** 0.5)
+    size = max(1, int(factor * width)), max(1, int(factor * height))
     now, scene = (
-        cv2.GaussianBlur(image, (0, 0), _BLUR_PX).astype(np.float32)
+        np.asarray(cv2.medianBlur(shrink_quickly(image, *size), 3), np.uint8)
         for image in (frame, background)
     )
-    expected = _with_exposure_of(now, scene)
-    distance, difference = _distances(now, expected)
-    distance[_shadow(now, expected)] = 0
-    grown = _hysteresis(distance > _POSSIBLE_DISTANCE, distance > _CERTAIN_DISTANCE)
-    opened = cv2.morphologyEx(grown.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    closed = cv2.morphologyEx(opened, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    return _without_halo(closed > 0, difference)
+    scene = np.dstack([_in_exposure(scene[..., k], now[..., k]) for k in range(3)])
+    # A normal distribution's standard deviation is 1.4826 times its median deviation.
+    noise = max(_MIN_NOISE, 1.4826 * float(np.median(cv2.absdiff(now, scene)[::2, ::2])))
+    model = cv2.createBackgroundSubtractorMOG2(detectShadows=True)
+    model.setNMixtures(1)
+    for set_variance in (model.setVarInit, model.setVarMin, model.setVarMax):
+        set_variance(noise**2)
+    model.apply(scene, learningRate=1.0)
+    changed = np.asarray(model.apply(now, learningRate=0.0) == 255).view(np.uint8)
+    speck: NDArray[np.uint8] = np.ones((3, 3), np.uint8)
+    opened = cv2.morphologyEx(changed, cv2.MORPH_OPEN, speck)
+    return cv2.resize(opened, (width, height), interpolation=cv2.INTER_NEAREST) > 0
 
 
-def _with_exposure_of(now: NDArray[np.float32], scene: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The scene ``(H, W, 3)``, adapted in place to the exposure of this frame."""
-    for channel in range(3):
-        x, y = scene[::4, ::4, channel].ravel(), now[::4, ::4, channel].ravel()
-        gain, offset = _fit_exposure(x, y)
-        scene[..., channel] = gain * scene[..., channel] + offset
-    return np.clip(scene, 1, 255, out=scene)
+def _in_exposure(scene: NDArray[np.uint8], now: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """One channel ``(H, W)`` of the scene in a frame's exposure, a gain and an offset.
 
-
-_EXPOSURE_RANGE = (4.0, 250.0)  # Grey levels outside are not used to fit it.
-_MIN_EXPOSURE_SAMPLES = 100
-# The fit is repeated on the samples whose error is within this multiple of the median error, or
-# within this many grey levels: people are outliers.
-_EXPOSURE_ROUNDS = 4
-_EXPOSURE_OUTLIER = 2.5
-_MIN_EXPOSURE_ERROR = 3.0
-
-
-def _fit_exposure(x: NDArray[np.float32], y: NDArray[np.float32]) -> tuple[float, float]:
-    """Gain and offset from samples ``(N,)`` of the scene to those of the frame."""
-    low, high = _EXPOSURE_RANGE
-    usable = (x > low) & (x < high) & (y > low) & (y < high)
-    if np.count_nonzero(usable) < _MIN_EXPOSURE_SAMPLES:
-        return 1.0, 0.0
-    x, y = x[usable], y[usable]
-    gain, offset = float(np.median(y / x)), 0.0
-    # People are outliers: the fit is repeated on the samples that agree with it.
-    for _ in range(_EXPOSURE_ROUNDS):
-        error = np.abs(y - gain * x - offset)
-        limit = _EXPOSURE_OUTLIER * float(np.median(error))
-        agree = error <= max(_MIN_EXPOSURE_ERROR, limit)
-        centre_x, centre_y = float(x[agree].mean()), float(y[agree].mean())
-        spread = float(((x[agree] - centre_x) ** 2).sum())
-        if spread < 1:
-            break
-        gain = float(((x[agree] - centre_x) * (y[agree] - centre_y)).sum()) / spread
-        offset = centre_y - gain * centre_x
-    return gain, offset
-
-
-_MIN_NOISE = 2.0  # Grey levels: compression alone leaves this much.
-# Share of the background's local contrast that counts as noise: vibration and focus breathing move
-# edges.
-_CONTRAST_NOISE = 0.25
-
-
-def _distances(
-    now: NDArray[np.float32], expected: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Distances ``(H, W)`` in standard deviations of the noise, and the largest difference."""
-    squares = np.zeros(now.shape[:2], np.float32)
-    difference = np.zeros(now.shape[:2], np.float32)
-    # Working channel by channel takes a third of the memory.
-    for channel in range(3):
-        residual = np.abs(now[..., channel] - expected[..., channel])
-        # A normal distribution's standard deviation is 1.4826 times its median deviation.
-        noise = max(1.4826 * float(np.median(residual[::2, ::2])), _MIN_NOISE)
-        contrast = cv2.morphologyEx(
-            expected[..., channel], cv2.MORPH_GRADIENT, np.ones((3, 3), np.uint8)
-        )
-        squares += residual**2 / (noise**2 + (_CONTRAST_NOISE * contrast) ** 2)
-        np.maximum(difference, residual, out=difference)
-    return np.sqrt(squares / 3), difference
-
-
-# A shadow leaves a share of the light in this range, alike in all channels, and the texture.
-_SHADOW_LIGHT = (0.45, 0.98)
-_MAX_SHADOW_TINT = 0.06
-_MAX_SHADOW_UNEVENNESS = 0.05
-
-
-def _shadow(now: NDArray[np.float32], expected: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Pixels ``(H, W)`` where the scene has less light: equally in all channels, and evenly."""
-    # Adding channel by channel takes a quarter of the time of sums along the last axis.
-    total_now = now[..., 0] + now[..., 1] + now[..., 2]
-    total_expected = expected[..., 0] + expected[..., 1] + expected[..., 2]
-    light = total_now / total_expected
-    total_now = np.maximum(total_now, 1)
-    tint = np.zeros_like(light)
-    for channel in range(3):
-        share = now[..., channel] / total_now
-        share -= expected[..., channel] / total_expected
-        np.maximum(tint, np.abs(share, out=share), out=tint)
-    mean = cv2.blur(light, (5, 5))
-    unevenness = np.sqrt(np.maximum(cv2.blur(light**2, (5, 5)) - mean**2, 0))
-    darkest, brightest = _SHADOW_LIGHT
-    return (
-        (light > darkest)
-        & (light < brightest)
-        & (tint < _MAX_SHADOW_TINT)
-        & (unevenness < _MAX_SHADOW_UNEVENNESS)
-    )
-
-
-def _hysteresis(possible: NDArray[np.bool_], certain: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The connected parts of ``possible`` that include a pixel of ``certain``."""
-    count, labels = cv2.connectedComponents(possible.astype(np.uint8))
-    chosen = np.bincount(labels[certain & possible], minlength=count) > 0
-    chosen[0] = False
-    return chosen[labels]
-
-
-_MIN_COVER = 0.45  # Share of the nearby difference that half a pixel of a person shows.
-
-
-def _without_halo(mask: NDArray[np.bool_], difference: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Drop border pixels that a person covers by less than half, since lenses blur edges.
-
-    Such pixels differ from the background less than half as much as pixels further inside.
+    They are a line through the pixels of both, fitted so that people count little.
     """
-    kernel: NDArray[np.uint8] = np.ones((5, 5), np.uint8)
-    inside = cv2.erode(mask.astype(np.uint8), kernel, borderValue=1) > 0
-    strongest = cv2.dilate(np.where(mask, difference, 0).astype(np.float32), kernel)
-    return inside | (mask & (difference > _MIN_COVER * strongest))
+    pairs = np.column_stack([scene[::12, ::12].ravel(), now[::12, ::12].ravel()]).astype(np.float32)
+    along, up, x, y = cv2.fitLine(pairs, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel().tolist()
+    levels = y + (np.arange(256) - x) * (up / along if along > 0 else 1.0)
+    return np.asarray(cv2.LUT(scene, levels.clip(0, 255).round().astype(np.uint8)), np.uint8)
 
 
-# Scores of a region, as a standing or walking body: by its width over height, 0 outside the range,
-# and by the share of its box that it fills, 0 below the range.
-_ASPECT = (0.15, 0.25, 0.6, 1.2)
-_ASPECT_SCORE = (0.3, 1.0, 1.0, 0.2)
-_FILL = (0.2, 0.4)
-_FILL_SCORE = (0.4, 1.0)
-_MAX_SCORE = 0.9  # A region of change is never a person for certain.
+_WIDTHS = (0.15, 1.2)  # Of an upright person, relative to the height.
+_SOLID = 0.4  # Share of the box that a body fills.
+_HEIGHT_PER_GAP = 12.0  # Height of a person relative to gaps closed within a body.
 
 
-def _likeness(aspect: float, fill: float) -> float:
-    """How much a region's proportions and solidity resemble an upright body."""
-    if not _ASPECT[0] <= aspect <= _ASPECT[-1] or fill < _FILL[0]:
-        return 0.0
-    upright = float(np.interp(aspect, _ASPECT, _ASPECT_SCORE))
-    solid = float(np.interp(fill, _FILL, _FILL_SCORE))
-    return _MAX_SCORE * upright * solid
+def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[Detection]:
+    """People as upright regions of a foreground, the most solid ones first.
+
+    The score is at most 0.9, since a region of change is never a person for certain. People who
+    touch in the frame are found as one.
+    """
+    # Closing joins the parts of a body, for example if its belt has the pavement's colour.
+    reach = max(1, round(min_person_px / _HEIGHT_PER_GAP))
+    gap: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
+    joined = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_CLOSE, gap)
+    found = []
+    for left, top, width, height, area in cv2.connectedComponentsWithStats(joined)[2][1:].tolist():
+        box = Box(left - 0.5, top - 0.5, width, height)
+        if height >= min_person_px and _WIDTHS[0] <= width / height <= _WIDTHS[1]:
+            found.append(Detection(box, 0.9 * min(1.0, area / (_SOLID * box.area))))
+    return sorted(found, key=lambda one: -one.score)
 
 
-def _nearer_to_other(box: Box, other: Box, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Pixels of ``box``, of this shape, that also lie in ``other`` and are nearer its middle."""
-    left, top, _, _ = box.pixels()
-    x, y = left + np.arange(shape[1]), top + np.arange(shape[0])
-    inside_x = (x >= other.x) & (x <= other.right)
-    inside_y = (y >= other.y) & (y <= other.bottom)
-    own = np.abs(x - box.x - box.width / 2) / box.width
-    theirs = np.abs(x - other.x - other.width / 2) / other.width
-    return inside_y[:, None] & (inside_x & (theirs < own))[None, :]
+_MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
+_MAX_HOLE = 0.05  # Area relative to the mask; larger holes stay.
+
+
+def cut_out_changed(
+    changed: NDArray[np.bool_],
+    boxes: Sequence[Box],
+    checkpoint: Callable[[], None] = lambda: None,
+) -> list[Silhouette | None]:
+    """Cut the person in each box out of a foreground; None where nothing changed.
+
+    A pixel in several boxes goes to the one whose middle is nearest, in widths of the boxes.
+    ``checkpoint`` is called before each person; it raises an error if nobody waits any more.
+    """
+    found: list[Silhouette | None] = []
+    for whole in boxes:
+        checkpoint()
+        box = whole.clip(changed.shape[1], changed.shape[0])
+        if box is None:
+            found.append(None)
+            continue
+        left, top, right, bottom = box.pixels()
+        y, x = np.ogrid[top:bottom, left:right]
+        mask = changed[top:bottom, left:right].copy()
+        for other in (one for one in boxes if one.intersection(box) > 0):
+            inside = (x >= other.x) & (x <= other.right) & (y >= other.y) & (y <= other.bottom)
+            own, theirs = (abs(x - one.x - one.width / 2) / one.width for one in (whole, other))
+            mask &= ~(inside & (theirs < own))
+        mask = fill_small_holes(keep_components(mask, _MIN_PART), _MAX_HOLE)
+        found.append(silhouette_from_mask(mask, left=left, top=top, segmenter="background"))
+    return with_truncation(found, boxes, changed.shape)

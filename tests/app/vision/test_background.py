@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.vision import background
-from app.vision.background import BackgroundSegmenter, foreground
+from app.vision.background import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
 
 
@@ -56,14 +56,12 @@ def test_large_frames_are_compared_at_reduced_size(
 ) -> None:
     frame, person = with_person(empty)
     exact = foreground(frame, empty)
-    monkeypatch.setattr(background, "MAX_PX", frame[..., 0].size // 3)
+    monkeypatch.setattr(background, "_MAX_PX", frame[..., 0].size // 3)
     smaller = foreground(frame, empty)
     assert smaller.shape == exact.shape and smaller.dtype == bool
     assert (smaller != exact).any()
     assert iou(smaller, person) > 0.8
-    (before,) = BackgroundSegmenter(empty).detect(frame)
-    monkeypatch.undo()
-    (now,) = BackgroundSegmenter(empty).detect(frame)
+    (before,), (now,) = (upright_regions(changed, 50) for changed in (smaller, exact))
     assert before.box.iou(now.box) > 0.8
 
 
@@ -80,10 +78,10 @@ def test_shadow_is_no_change(empty: np.ndarray) -> None:
 
 def test_person_is_detected_and_cut_out(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
-    segmenter = BackgroundSegmenter(empty)
-    found = segmenter.detect(frame)
+    changed = foreground(frame, empty)
+    found = upright_regions(changed, 50)
     assert len(found) == 1 and found[0].score > 0.5
-    one = segmenter.segment(frame, [found[0].box])[0]
+    one = cut_out_changed(changed, [found[0].box])[0]
     assert one is not None and one.segmenter == "background" and not one.truncated
     assert iou(one.mask(frame.shape), person) > 0.85
 
@@ -94,21 +92,17 @@ def test_background_of_another_size_is_refused(empty: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize(("rows", "columns"), [(39, 400), (400, 5)])
-def test_thin_frames_are_not_compared(
-    rows: int, columns: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_fits_into_a_thin_frame(rows: int, columns: int) -> None:
     scene = np.full((rows, columns, 3), 90, np.uint8)
-    segmenter = BackgroundSegmenter(scene, min_person_px=50)
-    monkeypatch.delattr("app.vision.background.foreground")
-    assert segmenter.detect(255 - scene) == []
+    assert upright_regions(foreground(255 - scene, scene), 50) == []
 
 
 def test_smallest_wanted_person_is_detected_in_a_frame_of_that_height() -> None:
-    scene = np.full((40, 60, 3), 90, np.uint8)
+    scene = np.full((50, 60, 3), 90, np.uint8)
     frame = scene.copy()
     frame[:, 20:32] = 200
-    (found,) = BackgroundSegmenter(scene, min_person_px=50).detect(frame)
-    assert found.box.height == 40
+    (found,) = upright_regions(foreground(frame, scene), 50)
+    assert found.box.height == 50
 
 
 def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) -> None:
@@ -116,7 +110,7 @@ def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) 
     frame = empty.copy()
     people = [figure(frame, left, (30, 40, 150)) for left in (40, 78)]
     boxes = [Box(35, 18, 60, 104), Box(60, 18, 60, 104), Box(500, 0, 10, 10)]
-    *found, outside = BackgroundSegmenter(empty).segment(frame, boxes)
+    *found, outside = cut_out_changed(foreground(frame, empty), boxes)
     assert outside is None
     for one, person in zip(found, people, strict=True):
         assert one is not None
