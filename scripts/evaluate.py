@@ -8,6 +8,7 @@
     python -m scripts evaluate homes        films of homes as camera sessions, by source
     python -m scripts evaluate ordinary     films in which nobody falls: alarms an hour
     python -m scripts evaluate background   people as differences from a picture of the empty scene
+    python -m scripts evaluate tiles        small people, with and without POSE_MIN_PERSON_PX
     python -m scripts evaluate actions      actions, postures and falls of tracks
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
@@ -32,6 +33,7 @@ EXPERIMENTS = {
     "homes": "homes",
     "ordinary": "ordinary",
     "background": "background",
+    "tiles": "tiles",
     "actions": "actions",
     "tracking": "tracking",
 }
