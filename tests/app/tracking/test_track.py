@@ -48,6 +48,11 @@ class TestBoxFilter:
         motion.update(Box(100, 100, 30, 90), 0.2, whole=False)
         assert 80 < motion.predict(0.2).height < 90
 
+    def test_one_box_that_is_off_hardly_changes_the_velocity(self) -> None:
+        motion = BoxFilter(BOX, 0.0)
+        motion.update(replace(BOX, x=BOX.x + 10), 0.1, whole=True)
+        assert 0 < motion.velocity[0] < 0.5 * 10 / 0.1
+
     def test_frames_far_apart_do_not_overshoot(self) -> None:
         motion = BoxFilter(BOX, 0.0)
         motion.update(replace(BOX, x=150), 5.0, whole=True)

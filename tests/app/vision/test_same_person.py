@@ -6,9 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.vision.blazepose import LANDMARK_PX, PoseReading
-from app.vision.geometry import WINDOW_SCALE, PersonWindow
-from app.vision.people import Landmarks
-from app.vision.same_person import first_of_body
+from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
+from app.vision.people import Detection, Landmarks
+from app.vision.same_person import first_of_body, tell_apart
+from tests.app.painted import detected, painted
 
 BODY_PX = 80.0
 
@@ -35,3 +36,15 @@ def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
     first = first_of_body([reading(0), other])
     if share != pytest.approx(0.12):
         assert first == [0, int(share > 0.12)]
+
+
+def test_without_keypoints_the_boxes_alone_tell_detections_apart() -> None:
+    box, nearly, beside = Box(40, 30, 60, 160), Box(43, 30, 60, 160), Box(60, 30, 60, 160)
+    body = detected(painted(box), box)
+    for other, people, others in (
+        (Detection(nearly, 0.5), 1, 1),  # Nothing shows that it is the same body.
+        (detected(painted(box), nearly, 0.5), 1, 0),
+        (detected(painted(beside), nearly, 0.5), 1, 1),
+        (Detection(Box(200, 30, 60, 160), 0.5), 2, 0),
+    ):
+        assert tuple(map(len, tell_apart([body, other]))) == (people, others)

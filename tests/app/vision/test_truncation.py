@@ -5,9 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.vision.geometry import Box
-from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.blazepose import PoseReading
+from app.vision.geometry import Box, PersonWindow
+from app.vision.people import (
+    COCO_NAMES,
+    LANDMARK_NAMES,
+    Landmarks,
+    ObservedKeypoints,
+    Silhouette,
+)
 from app.vision.truncation import (
+    attenuate_visibility_at_border,
     end_beyond_border,
     hidden_by_others,
     touches_border,
@@ -67,3 +75,30 @@ def test_nearer_person_hides_the_farther() -> None:
     assert [one is not None and one.truncated for one in both] == [False, True]
     assert hidden_by_others(far, [near.box])
     assert with_truncation([None], [near.box], (80, 80)) == [None]
+
+
+@pytest.mark.parametrize(
+    ("keypoint", "landmarks"),
+    [
+        ("left_wrist", {"left_wrist", "left_pinky", "left_index", "left_thumb"}),
+        ("right_ankle", {"right_ankle", "right_heel", "right_foot_index"}),
+        ("nose", {"nose", "mouth_left", "mouth_right"}),
+        ("left_eye", {"left_eye_inner", "left_eye", "left_eye_outer"}),
+        ("right_knee", {"right_knee"}),
+    ],
+)
+def test_landmarks_near_the_border_are_as_visible_as_the_keypoint_next_to_them(
+    keypoint: str, landmarks: set[str]
+) -> None:
+    scores = np.full(17, 0.9)
+    scores[COCO_NAMES.index(keypoint)] = 0.05
+    window = PersonWindow(50, 50, 100)
+    reading = PoseReading(
+        window, landmarks_but(), 1.0, window, keypoints=ObservedKeypoints(np.zeros((17, 2)), scores)
+    )
+    reach = 0.3 * reading.body_px
+    for shape, hidden in (((300, 50 + round(reach)), landmarks), ((300, 300), set())):
+        seen = attenuate_visibility_at_border(reading, shape).visibility
+        dimmed = {name for name, value in zip(LANDMARK_NAMES, seen, strict=True) if value < 0.8}
+        assert dimmed == hidden
+        assert seen.min() == pytest.approx(0.8 * 0.2 if hidden else 0.8)
