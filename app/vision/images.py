@@ -120,8 +120,10 @@ _GREY = 128.0  # Below what is transparent.
 def _upon_grey(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """BGR pixels of RGBA ones, where what is transparent shows grey."""
     alpha = cv2.cvtColor(rgba[..., 3], cv2.COLOR_GRAY2BGR)
-    shown = cv2.multiply(cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR), alpha, scale=1 / 255)
-    return np.asarray(cv2.addWeighted(shown, 1.0, 255 - alpha, _GREY / 255, 0.0), np.uint8)
+    shown = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR)
+    cv2.multiply(shown, alpha, dst=shown, scale=1 / 255)
+    cv2.bitwise_not(alpha, dst=alpha)
+    return np.asarray(cv2.addWeighted(shown, 1.0, alpha, _GREY / 255, 0.0, dst=shown), np.uint8)
 
 
 _LARGE_PX = 2_500_000  # More than a frame of 1080p.
@@ -244,8 +246,8 @@ def read_stored(data: bytes, mode: str | None = None) -> NDArray[np.uint8]:
     """Stored values of an upright image, the indices of a palette; in another mode of Pillow's."""
     try:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
-            upright = ImageOps.exif_transpose(image)
-            return np.asarray(upright if mode is None else upright.convert(mode))
+            ImageOps.exif_transpose(image, in_place=True)
+            return np.asarray(image if mode in (None, image.mode) else image.convert(mode))
     except Exception as error:  # Damaged data make Pillow raise almost anything.
         raise ImageError("the image is broken") from error
 

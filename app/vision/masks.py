@@ -108,15 +108,16 @@ def _values(data: bytes, header: Image.Image, lossy: bool) -> Labels:
     """The values of a mask, or its alpha channel if everything visible has one colour."""
     rgba = read_stored(data, "RGBA") if header.has_transparency_data else None
     if rgba is not None:
-        visible = rgba[..., 3] > 0
-        colours = rgba[visible][:, :3]
-        if colours.size and not visible.all() and (colours == colours[0]).all():
-            return np.ascontiguousarray(rgba[..., 3])
+        alpha = np.ascontiguousarray(rgba[..., 3])
+        first = rgba[np.unravel_index(alpha.argmax(), alpha.shape)][:3].tolist()
+        other = cv2.bitwise_not(cv2.inRange(rgba, (*first, 0), (*first, 255)))
+        if alpha.any() and not alpha.all() and not cv2.bitwise_and(other, alpha).any():
+            return alpha
     if header.format == "PNG" and header.mode == "P":
         return read_stored(data)
     pixels = decode_pixels(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if rgba is not None:
-        pixels[~visible] = 0
+        pixels[alpha == 0] = 0
     values = _one_channel(pixels, _LOSSY_CHANNEL_DIFFERENCE if lossy else 0)
     if header.mode == "L":
         # 2 and 4 bits are stretched to 0..255.
