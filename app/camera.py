@@ -272,7 +272,7 @@ class CameraSession:
                 events, stays = track.lose(
                     frame,
                     timestamp,
-                    alone=self._is_alone(track, track.box_filter.seen, timestamp),
+                    alone=self._covered(track, track.box_filter.seen, timestamp) == 0,
                 )
                 self._events += events
                 if not stays:
@@ -280,13 +280,14 @@ class CameraSession:
             kept.append(track)
         self._tracks = kept
 
-    def _is_alone(self, track: Track, place: Box, timestamp: float) -> bool:
-        """Whether no other tracked person is seen in a person's place."""
-        return not any(
-            other.box_filter.seen.intersection(place) > 0
+    def _covered(self, track: Track, place: Box, timestamp: float) -> float:
+        """Largest share of a person's place that the box of another tracked person covers."""
+        others = (
+            other.box_filter.seen.intersection(place) / place.area
             for other in self._tracks
             if other is not track and other.track_id is not None and other.seen_at == timestamp
         )
+        return max(others, default=0.0)
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
         """Predicted box of a person hidden behind another person; None if nobody hides them."""
@@ -325,8 +326,13 @@ class CameraSession:
         persons = self._estimator.fit(people, upload.camera, max(n, DEFAULT_HYPOTHESES), job)
         tracked = []
         for person, (_, track) in zip(persons, seen, strict=True):
-            alone = self._is_alone(track, person.box, timestamp)
-            result, events = track.update(person, timestamp, zones, alone=alone)
+            result, events = track.update(
+                person,
+                timestamp,
+                zones,
+                frame_shape=upload.frame.shape,
+                covered=self._covered(track, person.box, timestamp),
+            )
             self._events += events
             tracked.append(replace(result, hypotheses=result.hypotheses[:n]))
         return tuple(tracked)

@@ -12,7 +12,7 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.results import Event, TrackedFrame
+from app.tracking.results import EVENT_NAMES, Event, EventName, TrackedFrame
 from app.tracking.zones import Zone
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 
@@ -66,6 +66,8 @@ class CameraSettings:
 
     zones: tuple[Zone, ...] = ()
     optics: Optics = UNKNOWN_OPTICS
+    events: frozenset[EventName] = frozenset(EVENT_NAMES)
+    """The events that the camera raises."""
 
     def of(self, upload: Upload) -> Upload:
         """Return the upload with missing camera settings filled in from these."""
@@ -197,6 +199,8 @@ class CameraSessions:
             frame = opened.session.process(
                 settings.of(upload), timestamp, n, job, evidence, settings.zones
             )
+            raised = tuple(one for one in frame.events if one.event in settings.events)
+            frame = replace(frame, events=raised)
             with self._lock:
                 opened.note(frame, self._clock())
                 if begins:
@@ -209,7 +213,7 @@ class CameraSessions:
         return frame
 
     def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
-        """Set zones and optics of a camera, from its next frame on.
+        """Set zones, optics and events of a camera, from its next frame on.
 
         If the caller has settings for as many other cameras as there may be sessions, the one that
         was configured longest ago of those that have sent no frame is forgotten.

@@ -26,6 +26,11 @@ COMMANDS = {
         "scripts.training.train_postures",
         "train the postures of photographs on what was read",
     ),
+    "render-films": (
+        "scripts.training.render_films",
+        "render films of falls and daily life that a camera session reads",
+    ),
+    "train-falls": ("scripts.training.train_falls", "train the model of falls on simulated tracks"),
     "fit-people": (
         "scripts.training.fit_people",
         "fit detection scores and confidence to photographs",

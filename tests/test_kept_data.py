@@ -15,7 +15,7 @@ from app.cameras import CameraKey, CameraSessions
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.actions import shipped_model
+from app.tracking import actions, falls
 from index.store import PoseIndex
 from tests.app.drawn import draw, drawn_estimator, send
 from tests.conftest import ROOT, WALKERS
@@ -43,7 +43,8 @@ def kept_arrays(session: CameraSession) -> dict[str, list[NDArray[np.generic]]]:
     A view counts as the array that it shows a part of, since it keeps that in memory.
     """
     estimator = session._estimator
-    shared = (estimator, estimator.finder, estimator.models, shipped_model())
+    models = (actions.shipped_model(), falls.shipped_model())
+    shared = (estimator, estimator.finder, estimator.models, *models)
     seen = {id(one) for one in shared}
     found: dict[str, list[NDArray[np.generic]]] = {}
     unvisited: list[tuple[str, str, object]] = [("CameraSession", "", session)]

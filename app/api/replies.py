@@ -15,7 +15,14 @@ from app.cameras import CameraSettings, CameraSummary
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
-from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedFrame, TrackedPerson
+from app.tracking.results import (
+    EVENT_NAMES,
+    Event,
+    RecognisedAction,
+    SmoothedPose,
+    TrackedFrame,
+    TrackedPerson,
+)
 from app.tracking.zones import Zone, crosses_itself, is_outside
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
@@ -399,6 +406,7 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
         fov_deg=camera.settings.optics.fov_deg,
         pixel_aspect=camera.settings.optics.pixel_aspect,
         roll_deg=camera.settings.optics.roll_deg,
+        events=[name for name in EVENT_NAMES if name in camera.settings.events],
         frames=session.frames if session else 0,
         timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
         image=schemas.ImageSize(width=session.width, height=session.height) if session else None,
@@ -420,7 +428,8 @@ def settings_from(configuration: tracking_schemas.CameraConfiguration) -> Camera
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]
     optics = Optics(configuration.fov_deg, configuration.pixel_aspect, configuration.roll_deg)
-    return CameraSettings(tuple(zones), optics)
+    raised = EVENT_NAMES if configuration.events is None else configuration.events
+    return CameraSettings(tuple(zones), optics, frozenset(raised))
 
 
 def _tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
@@ -477,6 +486,7 @@ def _event(event: Event) -> tracking_schemas.Event:
         zones=list(event.zones),
         caller_track_id=event.caller_track_id,
         dwell_s=None if event.dwell_s is None else round(event.dwell_s, SECOND_DIGITS),
+        lost=event.lost,
     )
 
 

@@ -126,6 +126,9 @@ class CameraConfiguration(_Given):
         description="Clockwise rotation of the camera about its line of sight, degrees, for frames "
         "that are sent without one.",
     )
+    events: list[EventName] | None = Field(
+        None, description="The events that the camera raises; by default, or with null, all."
+    )
 
     @field_validator("zones")
     @classmethod
@@ -247,6 +250,11 @@ class Event(Model):
         description="Seconds that the person was in the zone, with `zone_left`; otherwise null.",
         examples=[31.5],
     )
+    lost: bool = Field(
+        default=False,
+        description="With `fell`, whether the person was not seen any more when they fell.",
+        examples=[False],
+    )
 
 
 class _TrackedFrame(PoseResponse):
@@ -299,6 +307,7 @@ class CameraState(Model):
     roll_deg: Roll | None = Field(
         description="Rotation of the camera, degrees, as configured. Null if not configured."
     )
+    events: list[EventName] = Field(description="The events that the camera raises.")
     frames: int = Field(
         ge=0,
         description="Frames since the session began; 0 where there is none.",

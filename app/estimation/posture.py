@@ -109,6 +109,11 @@ def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArra
     return shares
 
 
+def frame_shares(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums ``(6,)`` of shares ``(10,)`` by :data:`app.vision.judgement.FRAME_POSTURES`."""
+    return np.array([float(shares[members].sum()) for members in _HELD])
+
+
 def likeliest_posture(
     shares: NDArray[np.float64], presence: float = 1.0, confidence: float = 1.0
 ) -> EstimatedPosture:

@@ -1,7 +1,7 @@
 """Results of tracking for a frame: people with identities, smoothed poses, actions, events."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from app.estimation.results import Estimate, Person
 
 EventName = Literal["entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised"]
+EVENT_NAMES: tuple[EventName, ...] = get_args(EventName)
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
 
@@ -44,7 +45,8 @@ class Event:
     The state is ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
     ``unconfirmed`` if it had only begun to show at the last frame. The zones are those in which the
     person is; of ``zone_entered`` and ``zone_left``, the zone that they entered or left.
-    ``dwell_s``, only of ``zone_left``, is how long they were in it.
+    ``dwell_s``, only of ``zone_left``, is how long they were in it. ``lost`` is whether the person
+    who fell was not seen any more.
     """
 
     event: EventName
@@ -55,6 +57,7 @@ class Event:
     zones: tuple[str, ...] = ()
     caller_track_id: str | None = None
     dwell_s: float | None = None
+    lost: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

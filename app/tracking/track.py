@@ -10,21 +10,22 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, PostureFilter
+from app.estimation.posture import EstimatedPosture, PostureFilter, frame_shares
 from app.estimation.results import Facing, Person
 from app.tracking.actions import ActionRecogniser
-from app.tracking.events import EventDetector, HipHeight, Reliability
+from app.tracking.events import EventDetector
+from app.tracking.falls import Observation
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
+from app.vision.people import landmark_rows
 from app.vision.same_person import MAX_COST, KnownPerson
 from index.posture import PostureName
-from index.skeleton import side_rows
 
-_HIPS = side_rows("hip")
+_HIPS = landmark_rows("hip")
 
 
 # With landmarks: the probability of a person from which a track counts as one, and the share of
@@ -138,12 +139,14 @@ class Track:
         timestamp: float,
         zones: Sequence[Zone] = (),
         *,
-        alone: bool = True,
+        frame_shape: tuple[int, ...],
+        covered: float = 0.0,
     ) -> tuple[TrackedPerson, list[Event]]:
         """Add the poses of a frame; without any, the last one is kept and moved with the person.
 
-        The person is as estimated from this frame alone; ``alone`` is whether no other person's box
-        meets theirs. What begins, ends or happens with it is returned as well.
+        The person is as estimated from this frame alone, which has rows and columns; ``covered`` is
+        the share of their box that another person's covers. What begins, ends or happens with it is
+        returned as well.
         """
         track_id = self._known_id()
         smoothed = self._smoother.update(person, timestamp)
@@ -162,11 +165,8 @@ class Track:
             timestamp,
             shares,
             _reliability(person, smoothed.pose),
-            hip_height(person, smoothed),
-            self.box_filter.seen,
-            posture=self._known_posture(),
+            _observation(person, shares, smoothed.pose, frame_shape, covered),
             rests=is_rest(self._zone_watch.zones),
-            alone=alone,
         )
         tracked = self._tracked(person, smoothed.pose)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
@@ -207,7 +207,7 @@ class Track:
             return [], False
         events: list[Event] = []
         if alone:
-            fell = self._event_detector.lost(self.track_id, timestamp, frame.shape)
+            fell = self._event_detector.lost(self.track_id, timestamp)
             events += map(self._annotated, fell)
         if events:
             self._rests_from = timestamp + _COMES_TO_REST_S
@@ -273,12 +273,9 @@ def _weight(person: Person) -> float:
     return 1 - presence * (1 - right)
 
 
-def _reliability(person: Person, pose: SmoothedPose) -> Reliability:
+def _reliability(person: Person, pose: SmoothedPose) -> float:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
-    if person.presence is None:
-        return Reliability(pose.confidence, pose.confidence)
-    weight, presence = _weight(person), max(person.presence, _score(person))
-    return Reliability(weight * person.presence, weight * presence)
+    return pose.confidence if person.presence is None else _weight(person) * person.presence
 
 
 def _score(person: Person) -> float:
@@ -286,10 +283,30 @@ def _score(person: Person) -> float:
     return 1.0 if person.detection_score is None else person.detection_score
 
 
-def hip_height(person: Person, smoothed: Smoothed) -> HipHeight:
-    """Height of a person's hips, from the best hypothesis."""
-    y_px = float(person.hypotheses[0].points_2d[_HIPS, 1].mean())
-    return HipHeight.seen(y_px, smoothed.px_per_m, smoothed.elevation_deg)
+def _observation(
+    person: Person,
+    shares: NDArray[np.float64],
+    pose: SmoothedPose,
+    frame_shape: tuple[int, ...],
+    covered: float,
+) -> Observation:
+    """What the model of falls sees of a person: the frame alone, its landmarks if any were read.
+
+    Without them, the posture is that of the hypotheses, whose shares ``(10,)`` are given.
+    """
+    if person.frame_posture is None or person.landmarks is None:
+        return Observation(
+            person.box, frame_shape, frame_shares(shares), pose.confidence, covered=covered
+        )
+    presence = 1.0 if person.presence is None else person.presence
+    return Observation(
+        person.box,
+        frame_shape,
+        presence * np.asarray(person.frame_posture.probabilities),
+        1.0 if person.trust is None else person.trust.right,
+        float(person.landmarks.positions[_HIPS, 1].mean()),
+        covered,
+    )
 
 
 def associate(

@@ -1,4 +1,4 @@
-"""The actions experiment: actions, postures and falls of subjects unknown to index and model."""
+"""The actions experiment: actions and postures of subjects unknown to index and model."""
 
 import argparse
 from collections import Counter
@@ -11,11 +11,7 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import PostureFilter
 from app.tracking.actions import MIN_VOTE, ActionModel
-from app.tracking.events import EventDetector, Reliability
-from app.tracking.smoothing import PoseSmoother
-from app.tracking.track import hip_height
 from index import DEFAULT_PATH
-from index.artefact import load_index
 from index.posture import POSTURES
 from scripts.metrics import confusion, reliability
 from scripts.training.action_model import (
@@ -32,19 +28,11 @@ from scripts.training.action_model import (
     leave_subjects_out,
 )
 from scripts.training.action_tracks import (
-    ACROBATICS,
-    AFTER_S,
-    FALL,
-    OTHER_FPS,
     Track,
-    make_others,
     read_or_make_tracks,
     track_windows,
     training_windows,
 )
-
-RATES = (2, 5, 10, 30)
-"""Frames a second at which falls are watched."""
 
 
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
@@ -56,16 +44,13 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     """Run the experiment."""
     tracks = read_or_make_tracks(options.shared, DEFAULT_PATH, options.tracks)
     windows = training_windows(options.shared, tracks)
-    return measure(tracks, make_others(options.shared, load_index(DEFAULT_PATH)), windows)
+    return measure(tracks, windows)
 
 
-def measure(
-    tracks: Sequence[Track], others: Sequence[Track], windows: Windows
-) -> dict[str, object]:
-    """Return all figures; ``others`` are tracks without a fall, ``windows`` those of training."""
+def measure(tracks: Sequence[Track], windows: Windows) -> dict[str, object]:
+    """Return all figures; ``windows`` are those of training."""
     unseen = leave_subjects_out(windows)
     temperature = best_temperature(unseen, TEMPERATURES)
-    falling = [track for track in tracks if track.action == FALL]
     return {
         "actions": list(ACTIONS),
         "left_out_clips": list(SEVERAL_ACTIONS),
@@ -78,27 +63,6 @@ def measure(
             for name, answers in sequence_answers(windows, unseen, temperature, tracks).items()
         },
         "postures": posture_figures(tracks),
-        "falls": {
-            f"fps_{rate}": {
-                **fall_figures(falling, rate),
-                **(alarm_figures(others, rate) if rate <= OTHER_FPS else {}),
-            }
-            for rate in RATES
-        },
-        "reported_wrongly": [
-            {
-                "action": track.action,
-                "clip": track.clip,
-                "subject": track.subject,
-                "frames_per_s": rate,
-            }
-            for rate in RATES
-            if rate <= OTHER_FPS
-            for track in others
-            if count_falls(track, rate)
-        ],
-        "after_s": AFTER_S,
-        "acrobatics": list(ACROBATICS),
     }
 
 
@@ -208,41 +172,3 @@ def posture_figures(tracks: Sequence[Track]) -> dict[str, dict[str, float]]:
         }
         for name, rows in groups.items()
     }
-
-
-def fall_figures(falling: Sequence[Track], rate: int) -> dict[str, float]:
-    """Return how many falls are detected at some frames a second."""
-    found = sum(bool(count_falls(track, rate)) for track in falling)
-    return {
-        "frames_per_s": rate,
-        "number": len(falling),
-        "found": found,
-        "percent": 100 * found / max(1, len(falling)),
-    }
-
-
-def alarm_figures(others: Sequence[Track], rate: int) -> dict[str, float]:
-    """Return how many falls are detected where there is none."""
-    return {
-        "false_alarms": sum(count_falls(track, rate) for track in others),
-        "minutes": sum(float(track.timestamps[-1]) for track in others) / 60,
-    }
-
-
-def count_falls(track: Track, rate: int) -> int:
-    """Return how many falls a camera session would detect at some frames a second."""
-    step = round(1 / (rate * track.timestamps[1]))
-    smoother, postures, detector = PoseSmoother(), PostureFilter(), EventDetector()
-    falls = 0
-    for timestamp, person in zip(
-        track.timestamps[::step].tolist(), track.people[::step], strict=True
-    ):
-        smoothed = smoother.update(person, timestamp)
-        if smoothed is None:
-            continue
-        box = person.box
-        _, shares = postures.update(timestamp, smoothed.votes, None, 1.0, box)
-        reliability = Reliability(*2 * [smoothed.pose.confidence])
-        events = detector.update(1, timestamp, shares, reliability, hip_height(person, smoothed))
-        falls += sum(event.event == "fell" for event in events)
-    return falls

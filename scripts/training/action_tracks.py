@@ -30,7 +30,7 @@ from index.posture import classify_postures
 from index.search import ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
-from scripts.filming import CLIP_FPS, FPS, Filmed, film, film_stretch, unbroken_stretches
+from scripts.filming import CLIP_FPS, FPS, Filmed, film_stretch, unbroken_stretches
 from scripts.helpers import match_silhouettes
 from scripts.training.action_model import (
     ACTIONS,
@@ -71,10 +71,6 @@ RECORDED_FALLS = {"m2m_Death01": 1, "dm_getup_faceup": -1}
 """Clips, played forwards or backwards, each filmed by :data:`CAMERAS_OF_RECORDED` cameras."""
 
 CAMERAS_OF_RECORDED = 4
-
-OTHER_FPS = 5
-ACROBATICS = ("breakdance", "cartwheel", "fall", "flip", "roll")
-"""Actions in which people throw themselves down, where a reported fall is hardly false."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +130,6 @@ def make_tracks(shared: Path, index: PoseIndex, seed: int = 3) -> list[Track]:
     cast = Cast.read(shared)
     generator = np.random.default_rng(seed)
     films = [*film_actions(cast, generator), *film_falls(cast, generator)]
-    return _match_unseen(index, films, cast.subjects)
-
-
-def make_others(shared: Path, index: PoseIndex, seed: int = 4) -> list[Track]:
-    """Film all motion but falls and :data:`ACROBATICS`, and match it."""
-    cast = Cast.read(shared)
-    poses = cast.poses(lambda segment: segment.action not in ACROBATICS)
-    films = film(poses, cast.subjects, cast.avatars, seed, fps=OTHER_FPS)
     return _match_unseen(index, films, cast.subjects)
 
 

@@ -4,7 +4,6 @@ import contextlib
 import sys
 from collections import deque
 
-import cv2
 import numpy as np
 import pytest
 
@@ -12,10 +11,10 @@ from app.camera import CameraSession, LateFrameError
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import DeadlineError, Job
-from app.tracking.actions import shipped_model
+from app.tracking import actions, falls
 from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
-from tests.app.drawn import COLOURS, COLUMNS, PERSON, ROWS, draw, ids, send
+from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import png
 from tests.support.jobs import ShortJob
 
@@ -207,38 +206,6 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
     assert ids(later) == [2] and events(later) == [("left", 1)]
 
 
-def with_patch(rows: slice, columns: slice) -> bytes:
-    """A frame that shows one person, and a patch in the colour of another."""
-    pixels = np.asarray(cv2.imdecode(np.frombuffer(draw((1, 20)), np.uint8), cv2.IMREAD_COLOR))
-    pixels[rows, columns] = COLOURS[0]
-    return png(pixels.astype(np.uint8))
-
-
-@pytest.mark.parametrize("right", [220, 170])
-def test_who_fell_and_is_not_seen_stays_until_the_picture_changes(
-    session: CameraSession, right: int
-) -> None:
-    """Also one who was last seen while falling, not yet as they lie."""
-    other, stands = Box(19.5, 59.5, 30, PERSON), Box(149.5, 59.5, 30, PERSON)
-    falling, lying = (with_patch(slice(125, 150), slice(150, end)) for end in (right, 220))
-
-    def frame(step: int, picture: bytes, *boxes: Box) -> TrackedFrame:
-        return session.process(Upload(picture, boxes=boxes), step / 10, 3, Job())
-
-    for step in range(10):
-        frame(step, draw((0, 150), (1, 20)), stands, other)
-    for step, top in ((10, 80), (11, 100), (12, 124)):
-        frame(step, falling, Box(149.5, top + 0.5, 40 + (top - 60) / 2, 149 - top), other)
-    happened = []
-    for step in range(13, 60):  # After 4 s the person has come to rest.
-        shown = frame(step, falling if step < 40 else lying, other)
-        happened += [event.event for event in shown.events if event.track_id == 1]
-    assert happened == ["fell"]
-    assert {one.track_id: one.source for one in shown.persons}[1] == "track"
-    gone = frame(60, draw((1, 20)), other)
-    assert ids(gone) == [2] and ("left", 1) in events(gone)
-
-
 def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
     rng = np.random.default_rng(0)
     for step in range(12):
@@ -250,7 +217,7 @@ def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
 @pytest.mark.parametrize("fps", [10, 40])
 def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, fps: int) -> None:
     seen: set[int] = set()
-    for shared in (session, shipped_model()):
+    for shared in (session, actions.shipped_model(), falls.shipped_model()):
         held_bytes(shared, seen)
     for frame in range(round(3.2 * fps)):
         send(session, frame / fps, (0, 100))

@@ -16,6 +16,7 @@ from app.vision.people import Silhouette
 from tests.app.tracking.people import person_of, seen_from
 
 BOX = Box(100, 100, 30, 80)
+FRAME = (480, 640)
 
 
 def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Person:
@@ -109,7 +110,7 @@ def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
     events = [track.confirm(4, 0.0, [corridor])]
     for step in range(20):
         track.see(person, step / 10)
-        tracked, new = track.update(person, step / 10, [corridor])
+        tracked, new = track.update(person, step / 10, [corridor], frame_shape=FRAME)
         events += new
         assert tracked.pose is not None
     events += track.end(2.0)
@@ -127,10 +128,10 @@ def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() ->
     hidden = replace(person, facing=None, posture=None, hypotheses=())
     track = track_of(person)
     track.confirm(1, 0.0, [])
-    shown, _ = track.update(person, 0.0)
-    kept, _ = track.update(hidden, 0.5)
+    shown, _ = track.update(person, 0.0, frame_shape=FRAME)
+    kept, _ = track.update(hidden, 0.5, frame_shape=FRAME)
     assert kept.pose is not None and kept.posture == shown.posture
-    lost, _ = track.update(hidden, 9.0)
+    lost, _ = track.update(hidden, 9.0, frame_shape=FRAME)
     assert lost.pose is None and lost.posture is None
 
 
@@ -142,19 +143,47 @@ def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful:
                      trust=Trust(0.99, 0.98))  # fmt: skip
     track = track_of(person)
     track.confirm(1, 0.0, [])
-    track.update(person, 0.0)
+    track.update(person, 0.0, frame_shape=FRAME)
     low = replace(person, frame_posture=lying, trust=trust)
     track.see(low, 0.2)
-    tracked, _ = track.update(low, 0.2)
+    tracked, _ = track.update(low, 0.2, frame_shape=FRAME)
     assert tracked.posture is not None
     share = tracked.posture.share(["lying", "crawling"])
     kept = np.exp(-0.2 / 0.4 * (0.01**0.25 if doubtful == "landmarks" else 0.98**0.25))
     assert share == pytest.approx(1 - kept, abs=0.02)
 
 
+def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
+    stands, lies = Box(300, 150, 70, 200), Box(240, 290, 190, 65)
+    frame = np.zeros((*FRAME, 3), np.uint8)
+    frame[290:355, 240:430] = 200
+
+    def seen(box: Box, posture: int) -> Person:
+        return replace(
+            person_of([seen_from(0.0)], [0.9]), box=box, presence=0.95, trust=Trust(0.99, 0.6),
+            frame_posture=FramePosture(np.eye(6)[posture]), patch=Patch.of(frame, box),
+        )  # fmt: skip
+
+    track = Track(seen(stands, 0), 0.0)
+    track.confirm(1, 0.0, [])
+    falling = [(stands, 0)] * 20 + [(Box(280, 220, 110, 130), 0), (Box(255, 260, 160, 95), 5)]
+    for number, (box, posture) in enumerate([*falling, (lies, 5), (lies, 5)]):
+        person = seen(box, posture)
+        track.see(person, number / 5)
+        _, events = track.update(person, number / 5, frame_shape=FRAME)
+        assert "fell" not in {event.event for event in events}
+    (fell,), stays = track.lose(frame, 5.6)
+    assert (fell.event, fell.lost, stays) == ("fell", True, True)
+    assert fell.probability > 0.8
+    assert track.lose(frame, 9.0) == ([], True)
+    assert track.lies_at == lies
+    (left,), stays = track.lose(frame[::-1].copy(), 10.0)
+    assert (left.event, stays) == ("left", False)
+
+
 def test_only_a_confirmed_track_has_results() -> None:
     with pytest.raises(ValueError, match="expected a confirmed track"):
-        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1)
+        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1, frame_shape=FRAME)
 
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))

@@ -1,0 +1,83 @@
+"""Joints of many motions: falls, daily life and clips, of training or held-out subjects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from index.build.body import Avatar
+from index.skeleton import JOINT_NAMES
+from scripts.training.motions import Motion, Motions
+
+RATE = 15
+"""Frames a second that are kept."""
+
+COUNTS = {"fall": (240, 100), "daily": (180, 80), "recorded": (140, 60)}
+"""Motions by kind, of training and of held-out subjects."""
+
+_NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
+_ANKLES = [JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]
+# Cosine of the tilt, and height of the neck over the feet, of a trunk that is up.
+_UPRIGHT, _NECK_M = 0.64, 0.7
+
+
+@dataclass(frozen=True)
+class Library:
+    """Joints ``(M, F, 24, 3)`` in the world, y up; eight seconds each, the last frame held.
+
+    ``falls`` and ``down`` ``(M,)`` are the seconds at which a fall begins and the body is on the
+    ground, infinite where nobody falls; ``up`` ``(M, F)`` says whether the trunk is up.
+    """
+
+    joints: NDArray[np.float32]
+    kinds: NDArray[np.str_]
+    falls: NDArray[np.float64]
+    down: NDArray[np.float64]
+    up: NDArray[np.bool_]
+
+    @classmethod
+    def made(cls, motion: Path, avatar: Avatar, seed: int, *, held_out: bool) -> Self:
+        """Simulate and read all motions; the same for the same seed."""
+        motions = Motions.open(motion, avatar, held_out=held_out)
+        made: list[Motion] = []
+        for kind, counts in COUNTS.items():
+            for number in tqdm(range(counts[held_out]), desc=kind):
+                generator = np.random.default_rng([seed, number, len(made)])
+                one = None
+                while one is None:
+                    if kind == "fall":
+                        one = motions.fall(generator)
+                    elif kind == "daily":
+                        one = motions.daily(generator)
+                    else:
+                        one = motions.recorded(generator, walks=number % 2 == 0)
+                made.append(one)
+        frames = 8 * RATE
+        joints = np.empty((len(made), frames, 24, 3), np.float32)
+        for row, one in enumerate(made):
+            own = one.joints(avatar)[::2]
+            joints[row] = own[np.minimum(np.arange(frames), len(own) - 1)]
+        times = np.array(
+            [[np.inf if v is None else v / 30 for v in (m.falls, m.down)] for m in made]
+        )
+        trunk = joints[:, :, _NECK] - joints[:, :, _PELVIS]
+        upright = trunk[..., 1] / np.linalg.norm(trunk, axis=-1) > _UPRIGHT
+        high = joints[:, :, _NECK, 1] - joints[:, :, _ANKLES, 1].min(axis=-1) > _NECK_M
+        return cls(
+            joints, np.array([m.kind for m in made]), times[:, 0], times[:, 1], upright & high
+        )
+
+    def save(self, file: Path) -> None:
+        """Write all arrays."""
+        np.savez_compressed(file, **vars(self))
+
+    @classmethod
+    def load(cls, file: Path) -> Self:
+        """Read all arrays."""
+        with np.load(file) as arrays:
+            return cls(**dict(arrays))

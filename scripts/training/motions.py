@@ -1,0 +1,294 @@
+"""What people do in films of falls and of daily life, as motion of the bones of clips.
+
+Recorded motion is taken from clips, walks repeat; daily life that no clip shows (to lie down, sit,
+kneel, tie shoes, get up) leads from pose to pose; falls are simulated
+(:mod:`scripts.training.falling`) and begin in clips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from index.build.body import (
+    Avatar,
+    about_vertical,
+    facing_yaw,
+    pose_transforms,
+    posed_points,
+    retarget,
+)
+from index.build.motion import METRES_PER_UNIT, Clip, Segment, read_manifest
+from index.build.poses import read_poses
+from scripts.training.falling import FALLS, FPS, FallKind, fall_from
+from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, classes_of
+
+Support = Literal["seat", "bed"]
+
+FILM_S = 8.0
+"""Length of a motion; falls begin after three to four seconds."""
+
+WALKS = ("walk", "run")
+_ACROBATICS = ("breakdance", "cartwheel", "flip", "roll", "fall", "duck", "climb", "lie", "get-up")
+
+_Step = tuple[str, float, float]
+"""A posture, and between how many seconds it takes to get there."""
+
+DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
+    "sits": ("seat", (("standing", 1, 3), ("sitting", 0.5, 2), ("sitting", 1, 4))),
+    "stands-up": ("seat", (("sitting", 1, 3), ("standing", 0.8, 2), ("standing", 1, 4))),
+    "lies-on-bed": ("bed", (("standing", 1, 2), ("sitting", 0.6, 1.5), ("lying", 1, 3))),
+    "in-bed": ("bed", (("lying", 1, 4), ("lying", 1, 3), ("lying", 1, 3))),
+    "sits-up-in-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 3), ("lying", 1, 3))),
+    "leaves-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 2), ("standing", 1, 2))),
+    "lies-on-floor": (
+        None,
+        (("standing", 1, 2), ("crouching", 0.8, 1.6), ("all_fours", 0.8, 1.5), ("lying", 1, 2.5)),
+    ),
+    "gets-up": (None, (("lying", 2, 3), ("all_fours", 1, 2), ("standing", 1, 2.5))),
+    "ties-shoes": (
+        None,
+        (("standing", 1, 2), ("crouching", 0.5, 1.5), ("crouching", 2, 4), ("standing", 0.6, 1.5)),
+    ),
+    "picks-up": (None, (("standing", 1, 2), ("bending", 0.4, 1.2), ("standing", 0.4, 1.2))),
+    "cleans-floor": (
+        None,
+        (("standing", 1, 2), ("crouching", 0.6, 1.5), ("all_fours", 0.6, 1.5), ("all_fours", 1, 3)),
+    ),
+    "sits-on-floor": (
+        None,
+        (("standing", 1, 2), ("crouching", 0.6, 1.2), ("sitting", 0.6, 1.5), ("sitting", 1, 3)),
+    ),
+    "exercises": (
+        None,
+        (("standing", 1, 2), ("crouching", 0.5, 1), ("standing", 0.4, 1), ("crouching", 0.4, 1)),
+    ),
+    "push-ups": (
+        None,
+        (("all_fours", 1, 2), ("lying", 0.8, 1.5), ("all_fours", 0.5, 1), ("lying", 0.5, 1)),
+    ),
+}
+"""Daily life from pose to pose, and what carries those who sit and lie."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A body that moves: rotations ``(F, B, 3, 3)`` of a clip's bones, positions ``(F, 3)``.
+
+    Positions of the pelvis are metres, y up, for legs as long as the clip's. ``falls`` and ``down``
+    are the frames in which a fall begins, and from which the body is on the ground; None for both
+    where nobody falls. The support holds the body in the frame ``held``.
+    """
+
+    kind: str
+    clip: Clip
+    rotations: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    falls: int | None = None
+    down: int | None = None
+    support: Support | None = None
+    held: int = 0
+
+    def joints(self, avatar: Avatar) -> NDArray[np.float64]:
+        """Joints and face ``(F, 24, 3)`` of an avatar in the world, on its ground."""
+        points = posed_points(
+            avatar, pose_transforms(avatar, retarget(self.clip, avatar), self.rotations)
+        )
+        return np.asarray(points + self.path(avatar, points)[:, None])
+
+    def path(self, avatar: Avatar, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Place of the pelvis ``(F, 3)`` so that no joint ``(F, 24, 3)`` is below the ground."""
+        bones = self.clip.bones
+        own = float(
+            np.linalg.norm(
+                [self.clip.offsets[bones.index(n)] for n in ("LeftLeg", "LeftFoot")], axis=1
+            ).sum()
+        )
+        rows = [avatar.bones.index(n) for n in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
+        theirs = float(np.linalg.norm(np.diff(avatar.heads[rows], axis=0), axis=1).sum())
+        path = self.positions * theirs / (own * METRES_PER_UNIT)
+        lowest = points[..., 1].min(axis=1) + path[:, 1]
+        if self.support is None:
+            path[:, 1] -= np.quantile(lowest, 0.1) - 0.06
+            lowest = points[..., 1].min(axis=1) + path[:, 1]
+        path[:, 1] += np.maximum(0.05 - lowest, 0)
+        return np.asarray(path)
+
+
+@dataclass
+class Motions:
+    """Draws motions of the training or of the held-out subjects."""
+
+    poses: PoseSource
+    segments: list[Segment]
+    clips: dict[str, Clip]
+
+    @classmethod
+    def open(cls, motion: Path, avatar: Avatar, *, held_out: bool) -> Motions:
+        """Read the clips. Sitting and lying clips, of which there are few, serve both parts."""
+        segments = [
+            one for one in read_manifest(motion)
+            if (one.subject in HELD_OUT_SUBJECTS) == held_out or one.action in ("sit", "lie")
+        ]  # fmt: skip
+        poses, _ = read_poses(motion, segments)
+        from index.build.poses import joints_of
+
+        thinned = poses.take(np.arange(len(poses))[::3])
+        source = PoseSource(thinned, classes_of(joints_of(thinned, avatar)))
+        return cls(source, segments, {clip.name: clip for clip in poses.clips})
+
+    def recorded(
+        self, generator: Generator, *, walks: bool = False, seconds: float = FILM_S
+    ) -> Motion:
+        """Motion of one clip; walks and runs go on as long as needed."""
+        wanted = [
+            one for one in self.segments
+            if (one.action in WALKS if walks else one.action not in (*_ACROBATICS, "sit"))
+            and one.end - one.start >= FPS
+        ]  # fmt: skip
+        segment = wanted[generator.integers(len(wanted))]
+        clip = self.clips[segment.clip]
+        frames = np.arange(segment.start, segment.end)
+        rotations, positions = _from_origin(clip.rotations[frames], clip.positions[frames])
+        need = round(seconds * FPS)
+        if len(frames) > need:
+            first = int(generator.integers(len(frames) - need))
+            rotations, positions = _from_origin(
+                rotations[first : first + need], positions[first : first + need]
+            )
+        turned, path = [rotations], [positions]
+        while sum(map(len, turned)) < need:
+            # It goes on where it ended, in the direction in which it went.
+            yaw = float(facing_yaw(turned[-1][-1:, 0])[0])
+            turn = about_vertical(np.array([yaw]))[0]
+            turned.append(turn @ rotations)
+            path.append(positions @ turn.T + path[-1][-1] * [1, 0, 1])
+        return Motion(
+            segment.action, clip, np.concatenate(turned)[:need], np.concatenate(path)[:need]
+        )
+
+    def daily(self, generator: Generator, kind: str | None = None) -> Motion:
+        """Daily life, pose by pose."""
+        kind = kind or str(generator.choice(list(DAILY)))
+        support, steps = DAILY[kind]
+        height = {"seat": (0.38, 0.5), "bed": (0.3, 0.65), None: (0.0, 0.0)}[support]
+        above = float(generator.uniform(*height))
+        poses = [self.poses.draw(name, generator) for name, *_ in steps]
+        clip = poses[0].clip
+        poses = [pose for pose in poses if pose.clip.bones == clip.bones]
+        steps = steps[: len(poses)]
+        times = [0.0, *np.cumsum([generator.uniform(low, high) for _, low, high in steps])]
+        keys, heights = [], []
+        heading = 0.0
+        for pose, (name, *_) in zip(poses, steps, strict=True):
+            heading += generator.normal(0, 0.5)
+            keys.append(about_vertical(np.array([heading]))[0] @ pose.rotations)
+            low = _lowest(clip, keys[-1])
+            on = above if support == "bed" and name in ("lying", "sitting") else 0.0
+            if support == "bed" and name == "sitting":
+                on = max(0.0, above - 0.35)
+            heights.append(on + 0.06 - low)
+        # The first pose is held, each next one is reached at the end of its time.
+        frames = np.arange(round(max(times[-1], FILM_S) * FPS)) / FPS
+        held = [times[1] * 0.8, *times[2:]]
+        rotations, ys = _between(np.array(keys), np.array(heights), np.array(held), frames)
+        sway = np.cumsum(generator.normal(0, 0.004, (len(frames), 2)), axis=0)
+        shift = np.interp(frames, held, np.cumsum(generator.normal(0, 0.12, len(held))))
+        positions = np.stack([sway[:, 0] + shift, ys, sway[:, 1]], axis=1)
+        on_it = next(
+            (row for row, (name, *_) in enumerate(steps) if name in ("lying", "sitting")), 0
+        )
+        return Motion(kind, clip, rotations, positions, support=support,
+                      held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
+
+    def fall(self, generator: Generator, kind: FallKind | None = None) -> Motion | None:
+        """Somebody who falls and stays on the ground; None where they did not."""
+        kind = kind or FALLS[generator.integers(len(FALLS))]
+        before_s = generator.uniform(3.0, 4.0)
+        support: Support | None = None
+        if kind in ("seat", "bed"):
+            support = "seat" if kind == "seat" else "bed"
+            action = "sit" if kind == "seat" else "lie"
+            wanted = [one for one in self.segments if one.action == action]
+            segment = wanted[generator.integers(len(wanted))]
+            clip = self.clips[segment.clip]
+            frame = int(generator.integers(segment.start, segment.end))
+            first = max(segment.start, frame - round(before_s * FPS))
+            frames = np.arange(first, frame + 1)
+            frames = np.concatenate(
+                [np.full(round(before_s * FPS) + 1 - len(frames), first), frames]
+            )
+            rotations, positions = clip.rotations[frames].copy(), clip.positions[frames].copy()
+        else:
+            chance = generator.random()
+            if chance < 0.8:
+                before = self.recorded(generator, walks=chance < 0.5, seconds=before_s)
+            else:
+                kinds = ("picks-up", "stands-up", "gets-up")
+                before = self.daily(generator, str(generator.choice(kinds)))
+            clip, rotations, positions = before.clip, before.rotations, before.positions
+        start = Clip(**{**vars(clip), "rotations": rotations[-2:], "positions": positions[-2:]})
+        fall = fall_from(start, 1, kind, generator)
+        if not fall.ends_down or fall.down >= len(fall.positions):
+            return None
+        drop = fall.positions[0] - positions[-1]
+        positions = positions + drop * [0, 1, 0]
+        after = fall.positions - drop * [1, 0, 1]
+        return Motion(
+            f"fall-{kind}", clip, np.concatenate([rotations, fall.rotations]),
+            np.concatenate([positions, after]), len(rotations), len(rotations) + fall.down, support,
+        )  # fmt: skip
+
+
+def _from_origin(
+    rotations: NDArray[np.float64], positions: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The same motion, turned and moved so that it begins over the origin and faces +z."""
+    turn = about_vertical(-facing_yaw(rotations[:1, 0]))[0]
+    return turn @ rotations, (positions - positions[0] * [1, 0, 1]) @ turn.T
+
+
+def _lowest(clip: Clip, rotations: NDArray[np.float64]) -> float:
+    """Height of the lowest bone ``(B, 3, 3)`` over the pelvis, metres."""
+    places = np.zeros((len(clip.bones), 3))
+    for bone, parent in enumerate(clip.parents):
+        if parent >= 0:
+            places[bone] = places[parent] + rotations[parent] @ clip.offsets[bone]
+    return METRES_PER_UNIT * float(places[:, 1].min())
+
+
+def _between(
+    keys: NDArray[np.float64], heights: NDArray[np.float64], times: NDArray[np.float64],
+    frames: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    """Rotations and heights at frames, between keys ``(K, B, 3, 3)``; they begin and end slowly."""
+    at = np.clip(frames, times[0], times[-1])
+    row = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
+    share = (at - times[row]) / (times[row + 1] - times[row])
+    eased = times[row] + (times[row + 1] - times[row]) * share**2 * (3 - 2 * share)
+    turned = [
+        Slerp(times, Rotation.from_matrix(keys[:, bone]))(eased).as_matrix()
+        for bone in range(keys.shape[1])
+    ]
+    return np.stack(turned, axis=1), np.interp(eased, times, heights)
+
+
+def drawn(motions: Motions, generator: Generator, kinds: Sequence[float]) -> Motion:
+    """A fall, daily life or recorded motion, by these shares."""
+    while True:
+        chance = generator.random() * sum(kinds)
+        if chance < kinds[0]:
+            made = motions.fall(generator)
+        elif chance < kinds[0] + kinds[1]:
+            made = motions.daily(generator)
+        else:
+            made = motions.recorded(generator, walks=bool(generator.random() < 0.6))
+        if made is not None:
+            return made

@@ -1,0 +1,185 @@
+"""The model of falls on simulated tracks that it was not trained on, and what it must not see."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.tracking.falls import (
+    COLUMNS,
+    MODEL,
+    WINDOW_S,
+    FallModel,
+    FallWatch,
+    Observation,
+    shipped_model,
+    window_features,
+)
+from app.vision.geometry import Box
+
+TRACKS = Path(__file__).parents[2] / "data" / "fall_tracks.npz"
+"""Held-out tracks that ``python -m scripts train-falls --examples`` wrote, 15 frames a second."""
+
+FRAME = (480, 640)
+STANDS, SITS, LIES = (np.eye(6)[row] for row in (0, 3, 5))
+
+
+def seen(box: Box, posture: NDArray[np.float64], covered: float = 0.0) -> Observation:
+    return Observation(box, FRAME, 0.9 * posture, 0.6, covered=covered)
+
+
+def mixed(start: Box, end: Box, share: float) -> Box:
+    first, last = (np.array([b.x, b.y, b.width, b.height]) for b in (start, end))
+    return Box(*(first + share * (last - first)).tolist())
+
+
+def reported(
+    steps: list[tuple[Box, NDArray[np.float64], float]], fps: float, *, rests: bool = False
+) -> list[float]:
+    """Times at which a fall is reported: from step to step in so many seconds each."""
+    watch, times, now = FallWatch(), [], 0.0
+    for (start, before, _), (end, after, seconds) in pairwise([steps[0], *steps]):
+        for frame in range(round(seconds * fps)):
+            share = (frame + 1) / round(seconds * fps)
+            posture = (1 - share) * before + share * after
+            now += 1 / fps
+            if watch.update(now, seen(mixed(start, end, share), posture), rests=rests):
+                times.append(now)
+    return times
+
+
+UPRIGHT, ON_SEAT, DOWN = Box(300, 150, 70, 200), Box(295, 220, 80, 130), Box(240, 290, 190, 65)
+FALL = [(UPRIGHT, STANDS, 3.0), (DOWN, LIES, 0.7), (DOWN, LIES, 3.0)]
+
+
+@pytest.mark.parametrize("fps", [2, 5, 10, 15])
+def test_a_fall_is_reported_once_and_soon(fps: float) -> None:
+    (time,) = reported(FALL, fps)
+    assert 3.3 < time < 5.5
+
+
+@pytest.mark.parametrize("fps", [2, 5, 10, 15])
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [(UPRIGHT, STANDS, 8.0)],
+        [(UPRIGHT, STANDS, 3.0), (ON_SEAT, SITS, 0.8), (ON_SEAT, SITS, 4.0)],
+        # Towards a high camera: the top sinks in the picture, the box grows.
+        [(Box(310, 60, 30, 80), STANDS, 1.0), (Box(270, 170, 100, 260), STANDS, 5.0)],
+        # Out of the frame at the lower border.
+        [
+            (Box(310, 60, 60, 180), STANDS, 3.0),
+            (Box(280, 180, 110, 300), STANDS, 1.5),
+            (Box(275, 420, 120, 60), STANDS, 1.0),
+        ],
+        # In bed all the time.
+        [(DOWN, LIES, 9.0)],
+    ],
+)
+def test_daily_life_is_no_fall(
+    steps: list[tuple[Box, NDArray[np.float64], float]], fps: float
+) -> None:
+    assert reported(steps, fps) == []
+
+
+def test_nobody_falls_in_a_zone_for_resting() -> None:
+    assert reported(FALL, 5, rests=True) == []
+
+
+def test_another_fall_is_reported_after_the_person_is_up_again() -> None:
+    again = [*FALL, (UPRIGHT, STANDS, 2.0), (UPRIGHT, STANDS, 3.0), *FALL[1:]]
+    assert len(reported(again, 5)) == 2
+
+
+def test_a_person_who_is_lost_while_falling_fell_and_one_who_walks_out_did_not() -> None:
+    def lost(steps: list[tuple[Box, NDArray[np.float64], float]]) -> bool:
+        watch, now = FallWatch(), 0.0
+        for (start, before, _), (end, after, seconds) in pairwise([steps[0], *steps]):
+            for frame in range(round(5 * seconds)):
+                share, now = (frame + 1) / round(5 * seconds), now + 0.2
+                posture = (1 - share) * before + share * after
+                assert not watch.update(now, seen(mixed(start, end, share), posture))
+        return watch.lost(now + 1.0)
+
+    assert lost([(UPRIGHT, STANDS, 3.0), (DOWN, LIES, 0.8)])
+    assert not lost([(UPRIGHT, STANDS, 3.0), (Box(570, 150, 70, 200), STANDS, 2.0)])
+    assert not lost([(UPRIGHT, STANDS, 3.0)])
+
+
+@pytest.fixture(scope="module")
+def tracks() -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
+    """Times, rows and the time of the fall, infinite where nobody falls."""
+    with np.load(TRACKS) as arrays:
+        parts = np.split(np.arange(len(arrays["rows"])), np.cumsum(arrays["lengths"])[:-1])
+        return [
+            (arrays["times"][part], arrays["rows"][part].astype(np.float64), float(falls))
+            for part, falls in zip(parts, arrays["falls"], strict=True)
+        ]
+
+
+def alarms(times: NDArray[np.float64], rows: NDArray[np.float64]) -> Iterator[float]:
+    watch = FallWatch()
+    for time, row in zip(times.tolist(), rows, strict=True):
+        watch.add(time, row)
+        if watch.decide(time):
+            yield time
+
+
+@pytest.mark.parametrize("step", [1, 3, 7])
+def test_most_simulated_falls_are_reported_at_any_rate_and_hardly_anything_else(
+    tracks: list[tuple[NDArray[np.float64], NDArray[np.float64], float]], step: int
+) -> None:
+    found = false = 0
+    for times, rows, fell in tracks:
+        told = list(alarms(times[::step], rows[::step]))
+        found += any(time >= fell for time in told)
+        false += any(time < fell for time in told)
+    assert found >= 0.6 * sum(np.isfinite(fell) for _, _, fell in tracks)
+    assert false <= 0.05 * len(tracks)
+
+
+def test_neither_the_size_of_the_frame_nor_a_mirror_changes_anything() -> None:
+    generator = np.random.default_rng(1)
+    times = np.cumsum(generator.uniform(0.1, 0.4, 20))
+
+    def features(scale: float, mirror: bool) -> NDArray[np.float32]:
+        draw, rows = np.random.default_rng(2), []
+        for _ in times:
+            x, y, width, height = draw.uniform([0, 0, 20, 40], [500, 300, 140, 180])
+            x = 640 - x - width - 1 if mirror else x
+            corner = scale * (x + 0.5) - 0.5, scale * (y + 0.5) - 0.5
+            box = Box(*corner, scale * width, scale * height)
+            shape = (round(480 * scale), round(640 * scale))
+            rows.append(Observation(box, shape, draw.dirichlet(np.ones(6)), 0.5).row())
+        return window_features(times, np.array(rows), float(times[-1]))
+
+    plain = features(1.0, False)
+    np.testing.assert_allclose(features(2.0, False), plain, atol=0.01)
+    np.testing.assert_allclose(features(1.0, True), plain, atol=1e-5)
+
+
+def test_only_the_window_counts() -> None:
+    rows = np.random.default_rng(3).uniform(0, 300, (30, 17))
+    times = np.arange(30) * 0.2
+    whole = window_features(times, rows, times[-1])
+    recent = times >= times[-1] - WINDOW_S
+    np.testing.assert_array_equal(window_features(times[recent], rows[recent], times[-1]), whole)
+
+
+def test_a_watch_forgets_what_is_older_than_its_window() -> None:
+    watch = FallWatch()
+    for frame in range(300):
+        watch.update(frame / 15, seen(UPRIGHT, STANDS))
+    assert len(watch._seen) <= 15 * WINDOW_S + 2
+
+
+def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
+    model = shipped_model()
+    assert MODEL.stat().st_size < 100_000
+    assert sum(map(np.size, model.weights)) < 20_000
+    wrong = tuple(weight[: COLUMNS + 1] for weight in model.weights)
+    with pytest.raises(ValueError, match="expected weights 285x"):
+        FallModel(wrong, model.offsets)
