@@ -95,6 +95,8 @@ class CameraSession:
     ) -> TrackedFrame:
         """Find the people of a frame, identify them, and estimate ``n`` hypotheses of their poses.
 
+        If ``n`` is 0, nobody has hypotheses or a smooth pose, and only people without landmarks are
+        matched; all else is the same as for other ``n``.
         The timestamp is in seconds; None stands for the time since the frame before, by the
         session's clock. If the job raises, the next frame reports what began or ended at this one.
         Zones may change between frames; ``evidence`` is that of
@@ -322,10 +324,12 @@ class CameraSession:
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
-        people = [person for person, _ in seen]
-        persons = self._estimator.fit(people, upload.camera, max(n, DEFAULT_HYPOTHESES), job)
+        wanted = [person for person, _ in seen if n or person.landmarks is None]
+        fitted = iter(self._estimator.fit(wanted, upload.camera, max(n, DEFAULT_HYPOTHESES), job))
         tracked = []
-        for person, (_, track) in zip(persons, seen, strict=True):
+        for person, track in seen:
+            if n or person.landmarks is None:
+                person = next(fitted)
             result, events = track.update(
                 person,
                 timestamp,
@@ -335,6 +339,8 @@ class CameraSession:
             )
             self._events += events
             tracked.append(replace(result, hypotheses=result.hypotheses[:n]))
+        if not n:
+            tracked = [replace(one, pose=None) for one in tracked]
         return tuple(tracked)
 
 

@@ -185,7 +185,13 @@ def fit_poses(
                 pelvis=placed.pelvis[row],
             )
         )
-    return replace(person, facing=facing, posture=posture, hypotheses=tuple(projected))
+    return replace(
+        person,
+        hips=placed.pelvis[0],
+        facing=facing,
+        posture=posture,
+        hypotheses=tuple(projected),
+    )
 
 
 _THREADS_PER_PASS = 2  # They share a pass over a whole frame with little loss; more do not.

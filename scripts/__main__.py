@@ -13,6 +13,10 @@ COMMANDS = {
     "build": ("scripts.build", "build an index from motion capture"),
     "train-reranker": ("scripts.training.train_reranker", "train the network that re-ranks"),
     "train-actions": ("scripts.training.train_actions", "train the model of actions"),
+    "train-elevation": (
+        "scripts.training.train_elevation",
+        "train the network of camera elevations",
+    ),
     "render-people": ("scripts.training.render_people", "render people as photographs"),
     "train-photographs": (
         "scripts.training.train_photograph_models",

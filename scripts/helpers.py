@@ -15,7 +15,10 @@ from app.estimation.upload import Upload
 from app.photograph import Estimator, fit_poses, normalise_person
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
+from app.tracking.body import SeenBody
+from app.tracking.motion import Motion, MotionFilter
 from app.tracking.results import TrackedFrame
+from app.tracking.smoothing import SMOOTHING, PoseSmoother, Smoothed, Smoothing
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette
@@ -53,6 +56,22 @@ def match_silhouettes(
 
     with ThreadPoolExecutor(available_cores()) as pool:
         return list(pool.map(match, silhouettes))
+
+
+class Follower:
+    """Follows the motion and the pose of one person with hypotheses, frame by frame."""
+
+    def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
+        self._motions, self._smoother = MotionFilter(), PoseSmoother(smoothing)
+
+    def update(self, person: Person, timestamp: float) -> tuple[Motion, Smoothed] | None:
+        """Add a frame; None if it shows no body."""
+        body = SeenBody.of(person)
+        if body is None:
+            return None
+        motion = self._motions.update(timestamp, person.whole_box, body)
+        smoothed = self._smoother.update(person, timestamp, motion)
+        return None if smoothed is None else (motion, smoothed)
 
 
 def place_entry(

@@ -219,9 +219,7 @@ def person_fields(
         "posture": None
         if posture is None
         else schemas.Posture(label=posture.label, probability=round(posture.probability, 4)),
-        "position": _position(person.hypotheses[0].pelvis)
-        if camera.given and person.hypotheses
-        else None,
+        "position": None if person.hips is None or not camera.given else _position(person.hips),
         "hypotheses": [
             _hypothesis(projected, rank, form)
             for rank, projected in enumerate(person.hypotheses, start=1)

@@ -464,11 +464,11 @@ class Person(Model):
         "one that was not seen. Null as a whole if none were read: with `evidence=silhouette`, "
         "without a frame, and if the network found no person."
     )
-    facing: Facing | None = Field(description="Null if there are no hypotheses.")
-    posture: Posture | None = Field(description="Null if there are no hypotheses.")
+    facing: Facing | None = Field(description="Null without a silhouette.")
+    posture: Posture | None = Field(description="Null without a silhouette.")
     position: Position | None = Field(
         description="Where the person is, from the first hypothesis. Null if no field of view was "
-        "given, and if there are no hypotheses."
+        "given, and without a silhouette."
     )
     hypotheses: list[Hypothesis] = Field(
         description="Distinct poses, the best first: near-duplicates are listed once."

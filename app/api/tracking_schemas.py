@@ -189,7 +189,7 @@ class TrackedPerson(Person):
     """One person of the frame, and the track they belong to.
 
     `facing` and `posture` are those of the track; `hypotheses` are those of the frame alone, and
-    empty for a person who is hidden behind another one.
+    empty with `joints=none` and for a person who is hidden behind another one.
     """
 
     track_id: int = Field(
@@ -199,8 +199,8 @@ class TrackedPerson(Person):
         ge=1, description="Frames since the track began, this one included.", examples=[41]
     )
     pose: SmoothedPose | None = Field(
-        description="Smoothed over the frames so far. Null if the person has had no silhouette for "
-        "a second."
+        description="Smoothed over the frames so far. Null with `joints=none`, and if the person "
+        "has had no silhouette for a second."
     )
     action: Action | None = Field(
         description="Null until there are enough frames, and if no action reaches a probability of "

@@ -328,6 +328,7 @@ class PeopleFinder:
             landmarks=replace(visible, metres=metres, depth_covariance=covariance),
             frame_posture=judged.posture,
             trust=judged.trust,
+            hips=None if silhouette is None else judged.body.origin,
         )
 
 

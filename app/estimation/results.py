@@ -73,8 +73,8 @@ class Person:
     ``presence`` is the probability, from the landmark network, that a person is there,
     ``next_window`` where it would look in the next frame, ``beside`` whether it saw the person only
     while others were painted over; ``patch`` and ``colours`` ``(80,)`` are how a person who is
-    tracked looks. Hypotheses come best first; without a silhouette there are none, and neither
-    colours, facing nor posture.
+    tracked looks. ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses
+    come best first; without a silhouette there are none, and neither colours, facing nor posture.
     """
 
     box: Box
@@ -89,6 +89,7 @@ class Person:
     colours: NDArray[np.float32] | None = None
     frame_posture: FramePosture | None = None
     trust: Trust | None = None
+    hips: NDArray[np.float64] | None = None
     facing: Facing | None = None
     posture: EstimatedPosture | None = None
     hypotheses: tuple[ProjectedHypothesis, ...] = ()
@@ -123,6 +124,7 @@ class Person:
             box=rectification.box_sent(self.box),
             silhouette=self.silhouette and rectification.silhouette_sent(self.silhouette),
             landmarks=landmarks,
+            hips=None if self.hips is None else rectification.axes_sent(self.hips),
             hypotheses=tuple(one.as_sent(rectification) for one in self.hypotheses),
         )
 

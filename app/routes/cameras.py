@@ -26,7 +26,7 @@ from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, NoQuery, TrackQuery
+from app.routes.queries import GivenOnce, NoQuery, TrackQuery, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving.runtime import run_frame, runtime_of
@@ -113,7 +113,7 @@ async def track_frame(
 
     def work(job: Job) -> bytes:
         tracked = sessions.process(
-            camera, estimator, upload, timestamp, query.n, job, query.evidence
+            camera, estimator, upload, timestamp, hypotheses_of(query), job, query.evidence
         )
         _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()

@@ -73,7 +73,8 @@ _Joints = Annotated[
     Field(
         description="How joints are written: `full`, an object for each; `compact`, plain "
         "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
-        "at all, if only boxes, silhouettes or entries are wanted.",
+        "at all, if only boxes, silhouettes or entries are wanted. In answers about cameras and "
+        "videos, `none` also leaves out hypotheses and poses, which takes less time.",
         examples=["full"],
     ),
 ]
@@ -217,6 +218,11 @@ class SequenceQuery(_CameraQuery):
     def form(self) -> ReplyForm:
         """The form of the reply."""
         return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
+
+
+def hypotheses_of(query: TrackQuery | SequenceQuery) -> int:
+    """Hypotheses of each tracked person; none if no joints are written."""
+    return 0 if query.joints == "none" else query.n
 
 
 async def _given_once(request: Request) -> None:

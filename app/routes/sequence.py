@@ -20,7 +20,7 @@ from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
 from app.routes.openapi import documented, documented_form
-from app.routes.queries import GivenOnce, SequenceQuery
+from app.routes.queries import GivenOnce, SequenceQuery, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving.runtime import runtime_of
 from app.tracking.results import TrackedFrame
@@ -147,7 +147,7 @@ async def analyse_sequence(
         runtime.executor,
         identity_of(request.scope).caller,
         kind=PATH,
-        n=query.n,
+        n=hypotheses_of(query),
         evidence=query.evidence,
         optics=query.optics,
         max_frames=query.max_frames or most,

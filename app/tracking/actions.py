@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.motion import ground_path
-from app.tracking.results import RecognisedAction
-from app.tracking.smoothing import Smoothed
+from app.tracking.results import RecognisedAction, SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
@@ -73,9 +72,8 @@ class PoseSample:
     elevation_deg: float
 
     @classmethod
-    def of(cls, timestamp: float, smoothed: Smoothed) -> PoseSample:
+    def of(cls, timestamp: float, pose: SmoothedPose, elevation_deg: float) -> PoseSample:
         """Sample a smoothed pose."""
-        pose = smoothed.pose
         # The scale is a ratio of sizes rather than the least squares of
         # index.skeleton.pixels_per_metre, since a smoothed skeleton may be turned away from the
         # points in the picture.
@@ -88,7 +86,7 @@ class PoseSample:
             pose.points_3d - pose.points_3d[_PELVIS],
             pose.points_2d[_PELVIS],
             max(spread_px, 1e-6) / max(spread_m, 1e-6),
-            smoothed.elevation_deg,
+            elevation_deg,
         )
 
 
@@ -199,32 +197,33 @@ class ActionRecogniser:
 
     def update(
         self,
-        timestamp: float,
+        sample: PoseSample,
         person: Person,
-        smoothed: Smoothed,
         posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
-        """Add a frame of the track, in which the person has a hypothesis.
+        """Add a frame of the track.
 
-        The track's posture is given if it is more reliable than the motion, as with landmarks. The
-        result is None until the person has been seen for a second, and if no action is likely.
+        The track's posture is given if it is more reliable than the motion, as with landmarks; then
+        the actions of hypotheses, which need not be there, do not vote. The result is None until
+        the person has been seen for a second, and if no action is likely.
         """
-        self._add_sample(timestamp, person, smoothed)
+        timestamp = sample.timestamp
+        self._add_sample(sample, () if posture else person.hypotheses)
         if timestamp - self._window[0][0].timestamp < _MIN_WINDOW_S:
             return None
         if timestamp - self._last_at >= _EVERY_S:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
-    def _add_sample(self, timestamp: float, person: Person, smoothed: Smoothed) -> None:
+    def _add_sample(self, sample: PoseSample, hypotheses: Sequence[ProjectedHypothesis]) -> None:
         """Extend the window by a frame, or begin a new one after a gap."""
+        timestamp = sample.timestamp
         elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
         if elapsed > _MAX_GAP_S:
             self._window.clear()
             self._last_result = None
         if elapsed >= _MIN_STEP_S:
-            sample = PoseSample.of(timestamp, smoothed)
-            self._window.append((sample, self._model.votes(person.hypotheses)))
+            self._window.append((sample, self._model.votes(hypotheses)))
         while timestamp - self._window[0][0].timestamp > WINDOW_S:
             self._window.popleft()
 

@@ -6,13 +6,16 @@ for people who are small or seen from the side; but people turn gradually, and m
 direction they face.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.tracking.body import SeenBody
 from app.vision.geometry import Box
+from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, PostureName
 from index.skeleton import wrap_degrees
 
 
@@ -49,7 +52,7 @@ _RELIABLE_ELEVATION_DEG = 20.0
 class GroundMotion:
     """Measures a person's velocity from the centre of their box.
 
-    The camera's elevation, which each frame's hypotheses estimate, is averaged over all frames.
+    The camera's elevation, which each frame estimates, is averaged over all frames.
     """
 
     def __init__(self) -> None:
@@ -68,7 +71,7 @@ class GroundMotion:
         """Add a frame and return the velocity over the last second.
 
         The box is of the whole person. Their scale, and the elevation of the camera, are from this
-        frame's hypotheses.
+        frame.
         """
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
@@ -214,6 +217,55 @@ class HeadingFilter:
         front = self._last[1].front
         other_side = 1 - probability if front else probability
         return front != (other_side >= _SWITCH_FROM)
+
+
+def posture_in_motion(posture: PostureName, velocity: GroundVelocity) -> PostureName:
+    """The posture of a body, using the measured speed rather than that of a clip."""
+    if posture not in ("standing", "walking", "running"):
+        return posture
+    if velocity.reliable_speed >= MIN_RUNNING_SPEED_M_S:
+        return "running"
+    return "walking" if velocity.reliable_speed >= MIN_WALKING_SPEED_M_S else "standing"
+
+
+REFERENCE_HZ = 10.0
+"""Frame rate for which likelihoods are given: above it, each frame counts less."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a person moves at a frame, and which way they face.
+
+    ``elevation_deg``, of the camera above the person, is averaged over the track, ``px_per_m`` is
+    the scale of this frame; ``walks`` says whether the motion shows the heading.
+    """
+
+    velocity: GroundVelocity
+    heading: Heading
+    elevation_deg: float
+    px_per_m: float
+    walks: bool
+
+
+class MotionFilter:
+    """Follows the velocity and the heading of one person, from what each frame shows of them."""
+
+    def __init__(self) -> None:
+        self._ground, self._headings = GroundMotion(), HeadingFilter()
+        self._last_at = -math.inf
+
+    def update(self, timestamp: float, box: Box, body: SeenBody) -> Motion:
+        """Add a frame; the box is of the whole person."""
+        velocity = self._ground.update(timestamp, box, body.px_per_m, body.elevation_deg)
+        independence = min(1.0, REFERENCE_HZ * (timestamp - self._last_at))
+        self._last_at = timestamp
+        likelihoods = independence * body.log_likelihoods
+        shares = np.exp(likelihoods - likelihoods.max())
+        heading = self._headings.update(
+            timestamp, body.azimuths_deg, shares / shares.sum(), body.clarity, velocity
+        )
+        walks = self._headings.walking_weight(velocity) > 0
+        return Motion(velocity, heading, self._ground.elevation_deg, body.px_per_m, walks)
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:

@@ -17,37 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import vote_posture
-from app.estimation.results import Facing, Person, ProjectedHypothesis
-from app.tracking.motion import GroundMotion, GroundVelocity, Heading, HeadingFilter
+from app.estimation.results import Person, ProjectedHypothesis
+from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
+from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
-from app.vision.blazepose import LANDMARK_PX
 from app.vision.odds import log_odds, probability_of
 from index.facing import azimuth_deg
-from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, UPRIGHT, PostureName
-from index.skeleton import (
-    POINT_NAMES,
-    POINTS,
-    bone_lengths,
-    mean_joint_distance,
-    pixels_per_metre,
-    with_bone_lengths,
-)
+from index.posture import UPRIGHT
+from index.skeleton import POINT_NAMES, bone_lengths, mean_joint_distance, with_bone_lengths
 
 _SHOULDERS, _HIPS = (
     [POINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
     for joint in ("shoulder", "hip")
 )
 
-# Frame rate for which the weights and costs below are given.
-_REFERENCE_HZ = 10.0
-# Weight of the log of a hypothesis's confidence.
-_CONFIDENCE_WEIGHT = 1.5
-# Weight of the log of the distance by silhouette and landmarks, if landmarks were read: the
-# confidences of all hypotheses that agree with them are near 1.
-_LANDMARK_WEIGHT = 40.0
-# Height from which landmarks have their full weight: the side of the network's window. Those of
-# smaller people jitter, so motion counts more.
-_FULL_WEIGHT_PX = LANDMARK_PX
 # Largest cost of a move: none is impossible, since detection and identity may be wrong.
 _MAX_COST = 48.0
 # Poses at this distance from the most probable one weigh 60 % of it.
@@ -74,7 +57,7 @@ class Smoothing:
     Parameters
     ----------
     max_states : int
-        Hypotheses of a frame that become states; 30 are no better.
+        Hypotheses of a frame that become states.
     cost_per_m : float
         Cost in nats of each metre that joints move on average from frame to frame; up to twice as
         much at higher rates, less at lower ones.
@@ -84,7 +67,7 @@ class Smoothing:
         Time over which a line is fitted to the averages for silhouettes alone.
     """
 
-    max_states: int = 12
+    max_states: int = MAX_BODIES
     cost_per_m: float = 60.0
     heading_weight: float = 1.0
     line_s: float = 0.35
@@ -98,17 +81,12 @@ class Smoothed:
     """A track's pose at its newest frame, and what follows from it.
 
     ``votes`` ``(10,)`` are the shares of ``POSTURES`` among the states, weighted by their
-    probabilities. The elevation of the camera above the person is averaged over the track, the
-    scale is that of this frame. The pose's confidence follows from a weighted sum of the log odds
-    of the hypotheses near it, and of those of the share of probability near it.
+    probabilities. The pose's confidence follows from a weighted sum of the log odds of the
+    hypotheses near it, and of those of the share of probability near it.
     """
 
     pose: SmoothedPose
-    facing: Facing
     votes: NDArray[np.float64]
-    velocity: GroundVelocity
-    elevation_deg: float
-    px_per_m: float
     confidence_features: tuple[float, float]
 
 
@@ -120,44 +98,22 @@ class _Frame:
     points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
     points_2d: NDArray[np.float64]  # (N, 24, 2): pixels of the frame.
     confidences: NDArray[np.float64]  # (N,)
-    # (N,), from silhouette and landmarks; None if no landmarks were read.
-    distances: NDArray[np.float64] | None
+    log_likelihoods: NDArray[np.float64]  # (N,), up to a constant, for the reference rate.
     clarity: float  # Weight of landmarks, 0 to 1; 0 if none were read.
-
-    def weights(self) -> NDArray[np.float64]:
-        """Weights ``(N,)`` of the hypotheses by their confidences; they sum to 1."""
-        weights = self.confidences + 1e-6
-        return np.asarray(weights / weights.sum())
-
-    def px_per_m(self) -> float:
-        """Scale of the person."""
-        return float(self.weights() @ pixels_per_metre(self.points_3d, self.points_2d, POINTS))
+    by_landmarks: bool
 
     @classmethod
     def of(cls, person: Person, max_states: int) -> _Frame:
         hypotheses = person.hypotheses[:max_states]
-        distances, clarity = None, 0.0
-        if person.facing is not None and person.facing.evidence == "image":
-            distances = np.array([placed.distance for placed in hypotheses])
-            height = person.whole_box.height
-            clarity = min(1.0, height / _FULL_WEIGHT_PX) ** 2
         return cls(
             hypotheses,
             np.array([placed.points_3d for placed in hypotheses]),
             np.array([placed.points_2d for placed in hypotheses]),
             np.array([placed.confidence for placed in hypotheses]),
-            distances,
-            clarity,
+            log_likelihoods(person)[:max_states],
+            clarity_of(person),
+            person.landmarks is not None,
         )
-
-    def log_likelihoods(self) -> NDArray[np.float64]:
-        """Log likelihoods ``(N,)`` of the states, up to a constant, for the reference rate."""
-        result = _CONFIDENCE_WEIGHT * np.log(self.confidences + 1e-3)
-        if self.distances is not None:
-            result = result - self.clarity * _LANDMARK_WEIGHT * np.log(
-                (self.distances + 1e-9) / (self.distances.min() + 1e-9)
-            )
-        return result
 
 
 @dataclass(frozen=True)
@@ -200,37 +156,25 @@ class PoseSmoother:
 
     def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
         self._smoothing = smoothing
-        self._ground = GroundMotion()
-        self._headings = HeadingFilter()
         self._states: deque[_States] = deque(maxlen=_MAX_LINE_FRAMES)
         self._last: tuple[SmoothedPose, _Place] | None = None
 
-    def update(self, person: Person, timestamp: float) -> Smoothed | None:
+    def update(self, person: Person, timestamp: float, motion: Motion) -> Smoothed | None:
         """Add a frame of a person; return the pose at it, None without hypotheses."""
-        if not person.hypotheses or person.facing is None:
+        if not person.hypotheses:
             return None
         frame = _Frame.of(person, self._smoothing.max_states)
-        velocity = self._velocity(frame, person, timestamp)
-        px_per_m = frame.px_per_m()
-        heading = self._add_states(frame, velocity, timestamp)
+        self._add_states(frame, motion.heading, timestamp)
         states = self._states[-1]
         probabilities = np.exp(states.log_forward)
         probabilities /= probabilities.sum()
-        pose, features = self._pose(frame, heading, probabilities, timestamp)
+        pose, features = self._pose(frame, motion.heading, probabilities, timestamp)
         self._last = pose, _Place.of(person)
-        walks = self._headings.walking_weight(velocity) > 0
-        return Smoothed(
-            pose,
-            Facing(heading.front_probability, "motion" if walks else person.facing.evidence),
-            vote_posture(
-                [_posture(placed.posture, velocity) for placed in frame.hypotheses],
-                probabilities.tolist(),
-            ),
-            velocity,
-            self._ground.elevation_deg,
-            px_per_m,
-            features,
+        votes = vote_posture(
+            [posture_in_motion(placed.posture, motion.velocity) for placed in frame.hypotheses],
+            probabilities.tolist(),
         )
+        return Smoothed(pose, votes, features)
 
     def extrapolate(self, person: Person, timestamp: float) -> SmoothedPose | None:
         """The last pose, moved to where the person is in a later frame without hypotheses.
@@ -250,28 +194,13 @@ class PoseSmoother:
             confidence=probability_of(odds),
         )
 
-    def _velocity(self, frame: _Frame, person: Person, timestamp: float) -> GroundVelocity:
-        """Measure the velocity using the scales and elevations of the hypotheses."""
-        weights = frame.weights()
-        elevations_deg = np.array([placed.label.elevation_deg for placed in frame.hypotheses])
-        return self._ground.update(
-            timestamp,
-            person.whole_box,
-            frame.px_per_m(),
-            float(weights @ elevations_deg),
-        )
-
-    def _add_states(self, frame: _Frame, velocity: GroundVelocity, timestamp: float) -> Heading:
+    def _add_states(self, frame: _Frame, heading: Heading, timestamp: float) -> None:
         """Add a frame's states from its hypotheses and the heading: the forward step."""
-        log_emission = frame.log_likelihoods()
+        log_emission = frame.log_likelihoods
         if self._states:
             elapsed = timestamp - self._states[-1].timestamp
-            log_emission *= min(1.0, _REFERENCE_HZ * elapsed)
-        shares = np.exp(log_emission - log_emission.max())
+            log_emission = log_emission * min(1.0, REFERENCE_HZ * elapsed)
         azimuths_deg = azimuth_deg(frame.points_3d)
-        heading = self._headings.update(
-            timestamp, azimuths_deg, shares / shares.sum(), frame.clarity, velocity
-        )
         log_emission = log_emission + self._smoothing.heading_weight * heading.log_likelihood(
             azimuths_deg
         )
@@ -289,13 +218,12 @@ class PoseSmoother:
         # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
-        return heading
 
     def _log_moves(
         self, before: _States, points_3d: NDArray[np.float64], timestamp: float
     ) -> NDArray[np.float64]:
         """Log probabilities ``(M, N)``, up to a constant, of moving between all pairs of poses."""
-        intervals = _REFERENCE_HZ * (timestamp - before.timestamp)
+        intervals = REFERENCE_HZ * (timestamp - before.timestamp)
         cost_per_m = 2 * self._smoothing.cost_per_m / (1 + intervals)
         metres = mean_joint_distance(before.points_3d[:, None], points_3d[None])
         return np.asarray(-np.minimum(cost_per_m * metres, _MAX_COST))
@@ -312,7 +240,7 @@ class PoseSmoother:
         smoothed_3d, hypotheses_odds = self._smoothed(timestamp)
         postures = [placed.posture for placed in frame.hypotheses]
         upright = float(probabilities @ [posture in UPRIGHT for posture in postures])
-        if frame.distances is not None and upright * (1 - frame.clarity) > 0.5:
+        if frame.by_landmarks and upright * (1 - frame.clarity) > 0.5:
             smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
         nearness = self._nearness(frame.points_3d, log_forward)
         agreement_odds = log_odds(float(probabilities @ nearness))
@@ -350,7 +278,7 @@ class PoseSmoother:
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
         ages = timestamp - np.array([states.timestamp for states in reversed(self._states)])
-        weights = 1 - ages / (ages.max() + 1 / _REFERENCE_HZ)
+        weights = 1 - ages / (ages.max() + 1 / REFERENCE_HZ)
         smoothed = _line_at_zero(ages, np.array(averages), weights)
         return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
 
@@ -378,15 +306,6 @@ class PoseSmoother:
         shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
         wanted_deg = heading.on_visible_side(shoulders_deg)
         return _turned(points_3d, wanted_deg - shoulders_deg)
-
-
-def _posture(posture: PostureName, velocity: GroundVelocity) -> PostureName:
-    """The posture of a state, using the measured speed rather than that of its clip."""
-    if posture not in ("standing", "walking", "running"):
-        return posture
-    if velocity.reliable_speed >= MIN_RUNNING_SPEED_M_S:
-        return "running"
-    return "walking" if velocity.reliable_speed >= MIN_WALKING_SPEED_M_S else "standing"
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:

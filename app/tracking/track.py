@@ -10,20 +10,27 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, PostureFilter, frame_shares
-from app.estimation.results import Facing, Person
-from app.tracking.actions import ActionRecogniser
+from app.estimation.posture import (
+    EstimatedPosture,
+    PostureFilter,
+    frame_shares,
+    vote_posture,
+)
+from app.estimation.results import Facing, FacingSource, Person
+from app.tracking.actions import ActionRecogniser, PoseSample
+from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
+from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
-from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.people import landmark_rows
 from app.vision.same_person import MAX_COST, KnownPerson
-from index.posture import PostureName
+from index.posture import POSTURES, PostureName, camera_up, classify_postures
 
 _HIPS = landmark_rows("hip")
 
@@ -74,11 +81,13 @@ class Track:
         self.beside = person.beside
         """Whether others hid the person so that this window hardly shows them."""
         self.colours = person.colours
-        self._smoother = PoseSmoother()
+        self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
         self._recogniser = ActionRecogniser()
         self._event_detector = EventDetector()
         self._zone_watch = ZoneWatch()
         self._posture_filter = PostureFilter()
+        self._body_at = -math.inf
+        """Time of the last frame that showed the body."""
         self._facing: Facing | None = None
         self._posture: EstimatedPosture | None = None
         self._action: RecognisedAction | None = None
@@ -142,50 +151,73 @@ class Track:
         frame_shape: tuple[int, ...],
         covered: float = 0.0,
     ) -> tuple[TrackedPerson, list[Event]]:
-        """Add the poses of a frame; without any, the last one is kept and moved with the person.
+        """Add what a frame shows of the body; if nothing, the last pose moves with the person.
 
-        The person is as estimated from this frame alone, which has rows and columns; ``covered`` is
-        the share of their box that another person's covers. What begins, ends or happens with it is
-        returned as well.
+        The person is as estimated from this frame alone, which has rows and columns. With
+        landmarks, all but the pose follows from these, so that it does not matter whether the
+        person has hypotheses. ``covered`` is the share of their box that another person's covers.
+        What begins, ends or happens with it is returned as well.
         """
         track_id = self._known_id()
-        smoothed = self._smoother.update(person, timestamp)
-        shares = None if smoothed is None else self._add_poses(person, smoothed, timestamp)
+        body, shares, smoothed = SeenBody.of(person), None, None
+        if body is not None:
+            motion = self._motion_filter.update(timestamp, person.whole_box, body)
+            smoothed = self._smoother.update(person, timestamp, motion)
+            shares = self._add_body(person, body, motion, smoothed, timestamp)
         crossings: list[Event] = []
         if self.seen_at == timestamp:
             # The posture says which part of the body has to be in a zone.
             crossings = self._zone_watch.update(
                 track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
             )
-        if smoothed is None or shares is None:
+        if body is None or shares is None:
             pose = self._smoother.extrapolate(person, timestamp)
-            return self._tracked(person, pose), self._crossed(crossings)
+            return self._tracked(person, pose, timestamp), self._crossed(crossings)
+        pose = smoothed.pose if smoothed else None
+        confidence = pose.confidence if pose else 0.0
         events = self._event_detector.update(
             track_id,
             timestamp,
             shares,
-            _reliability(person, smoothed.pose),
-            _observation(person, shares, smoothed.pose, frame_shape, covered),
+            _reliability(person, confidence),
+            _observation(person, shares, confidence, frame_shape, covered),
             rests=is_rest(self._zone_watch.zones),
         )
-        tracked = self._tracked(person, smoothed.pose)
+        tracked = self._tracked(person, pose, timestamp)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
 
-    def _add_poses(
-        self, person: Person, smoothed: Smoothed, timestamp: float
+    def _add_body(
+        self,
+        person: Person,
+        body: SeenBody,
+        motion: Motion,
+        smoothed: Smoothed | None,
+        timestamp: float,
     ) -> NDArray[np.float64]:
         """Update facing, posture and action; return the shares of postures of this frame."""
-        self._facing = smoothed.facing
+        self._body_at = timestamp
+        evidence: FacingSource = "none" if body.skeleton is None else "image"
+        self._facing = Facing(
+            motion.heading.front_probability, "motion" if motion.walks else evidence
+        )
+        if body.skeleton is not None:
+            votes = _vote_of(body.skeleton, motion)
+            sample = PoseSample(
+                timestamp, body.skeleton, body.hips_px, body.px_per_m, motion.elevation_deg
+            )
+        elif smoothed is not None:
+            votes = smoothed.votes
+            sample = PoseSample.of(timestamp, smoothed.pose, motion.elevation_deg)
         self._posture, shares = self._posture_filter.update(
             timestamp,
-            smoothed.votes,
+            votes,
             person.frame_posture,
             1.0 if person.presence is None else person.presence,
             person.whole_box,
             _weight(person),
         )
         posture = self._posture if person.landmarks is not None else None
-        self._action = self._recogniser.update(timestamp, person, smoothed, posture)
+        self._action = self._recogniser.update(sample, person, posture)
         return shares
 
     def unconfirmed(self) -> list[Event]:
@@ -252,8 +284,12 @@ class Track:
     def _zone_names(self) -> tuple[str, ...]:
         return tuple(zone.name for zone in self._zone_watch.zones)
 
-    def _tracked(self, person: Person, pose: SmoothedPose | None) -> TrackedPerson:
-        known = {} if pose is None else {"facing": self._facing, "posture": self._posture}
+    def _tracked(
+        self, person: Person, pose: SmoothedPose | None, timestamp: float
+    ) -> TrackedPerson:
+        known = {"facing": self._facing, "posture": self._posture}
+        if timestamp - self._body_at > EXTRAPOLATED_S:
+            known = {}
         return TrackedPerson(
             **vars(person) | known,
             track_id=self._known_id(),
@@ -265,6 +301,13 @@ class Track:
         )
 
 
+def _vote_of(skeleton: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """The vote ``(10,)`` of a skeleton ``(24, 3)`` for its posture."""
+    up = camera_up(motion.elevation_deg)
+    posture = POSTURES[int(classify_postures(skeleton[None], up)[0])]
+    return vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
+
+
 def _weight(person: Person) -> float:
     """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
     presence = 1.0 if person.presence is None else person.presence
@@ -273,9 +316,9 @@ def _weight(person: Person) -> float:
     return 1 - presence * (1 - right)
 
 
-def _reliability(person: Person, pose: SmoothedPose) -> float:
+def _reliability(person: Person, confidence: float) -> float:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
-    return pose.confidence if person.presence is None else _weight(person) * person.presence
+    return confidence if person.presence is None else _weight(person) * person.presence
 
 
 def _score(person: Person) -> float:
@@ -286,17 +329,18 @@ def _score(person: Person) -> float:
 def _observation(
     person: Person,
     shares: NDArray[np.float64],
-    pose: SmoothedPose,
+    confidence: float,
     frame_shape: tuple[int, ...],
     covered: float,
 ) -> Observation:
     """What the model of falls sees of a person: the frame alone, its landmarks if any were read.
 
-    Without them, the posture is that of the hypotheses, whose shares ``(10,)`` are given.
+    Without them, the posture is that of the hypotheses, whose shares ``(10,)`` are given, and the
+    confidence that of their smooth pose.
     """
     if person.frame_posture is None or person.landmarks is None:
         return Observation(
-            person.box, frame_shape, frame_shares(shares), pose.confidence, covered=covered
+            person.box, frame_shape, frame_shares(shares), confidence, covered=covered
         )
     presence = 1.0 if person.presence is None else person.presence
     return Observation(

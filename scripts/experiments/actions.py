@@ -154,7 +154,9 @@ def posture_figures(tracks: Sequence[Track]) -> dict[str, dict[str, float]]:
     truth, answers = [], []
     for track in tracks:
         postures = PostureFilter()
-        for row, (person, smoothed) in enumerate(zip(track.people, track.smoothed, strict=True)):
+        for row, (person, (_, smoothed)) in enumerate(
+            zip(track.people, track.smoothed, strict=True)
+        ):
             box, timestamp = person.box, float(track.timestamps[row])
             over_time, _ = postures.update(timestamp, smoothed.votes, None, 1.0, box)
             labels = [p.label if p else "unclear" for p in (person.posture, over_time)]

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.results import SmoothedPose
-from app.tracking.smoothing import SMOOTHING, PoseSmoother, Smoothed
+from app.tracking.smoothing import SMOOTHING, Smoothed
 from app.vision.people import Silhouette
 from index.build.body import Phenotype
 from index.build.builder import (
@@ -38,7 +38,7 @@ from index.facing import azimuth_deg
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.filming import FPS, Filmed, film
-from scripts.helpers import match_silhouettes
+from scripts.helpers import Follower, match_silhouettes
 from scripts.training.held_out import strict_index
 
 VIEWS, SEED = 4, 7
@@ -178,12 +178,12 @@ def estimated(filmed: Filmed, poses: Sequence[SmoothedPose | ProjectedHypothesis
 
 def smoothed(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> list[Smoothed]:
     """Smooth a sequence; each pose follows from the frames up to its own."""
-    smoother = PoseSmoother(replace(SMOOTHING, **parameters))
+    follower = Follower(replace(SMOOTHING, **parameters))
     updates = [
-        smoother.update(person, timestamp)
+        follower.update(person, timestamp)
         for person, timestamp in zip(persons, filmed.timestamps.tolist(), strict=True)
     ]
-    return [update for update in updates if update is not None]
+    return [update[1] for update in updates if update is not None]
 
 
 def smooth(filmed: Filmed, persons: Sequence[Person], **parameters: Any) -> Estimated:

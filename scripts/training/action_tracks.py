@@ -19,7 +19,8 @@ from tqdm import tqdm
 
 from app.estimation.results import Person
 from app.tracking.actions import PoseSample
-from app.tracking.smoothing import PoseSmoother, Smoothed
+from app.tracking.motion import Motion
+from app.tracking.smoothing import Smoothed
 from index.artefact import load_index
 from index.build.body import Avatar
 from index.build.builder import CALIBRATION_AVATARS, HELD_OUT_AVATARS
@@ -31,7 +32,7 @@ from index.search import ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.filming import CLIP_FPS, FPS, Filmed, film_stretch, unbroken_stretches
-from scripts.helpers import match_silhouettes
+from scripts.helpers import Follower, match_silhouettes
 from scripts.training.action_model import (
     ACTIONS,
     COPIES,
@@ -87,7 +88,7 @@ class Track:
     timestamps: NDArray[np.float64]
     posture: NDArray[np.int64]
     people: tuple[Person, ...]
-    smoothed: tuple[Smoothed, ...]
+    smoothed: tuple[tuple[Motion, Smoothed], ...]
 
 
 @dataclass(frozen=True)
@@ -252,9 +253,9 @@ def match_films(
     tracks = []
     for filmed in films:
         people = match_silhouettes(index, filmed.silhouettes, filmed.camera, HYPOTHESES)
-        smoother = PoseSmoother()
+        follower = Follower()
         smoothed = [
-            smoother.update(person, timestamp)
+            follower.update(person, timestamp)
             for person, timestamp in zip(people, filmed.timestamps.tolist(), strict=True)
         ]
         seen = [replace(one, silhouette=None) for one in people]
@@ -276,8 +277,8 @@ def track_windows(tracks: Sequence[Track]) -> tuple[list[Track], Windows]:
     shown = [track for track in tracks if track.action in ACTIONS and len(track.smoothed) > FPS]
     parts = [
         windows_of([
-            PoseSample.of(timestamp, smoothed)
-            for timestamp, smoothed in zip(
+            PoseSample.of(timestamp, smoothed.pose, motion.elevation_deg)
+            for timestamp, (motion, smoothed) in zip(
                 track.timestamps.tolist(), track.smoothed, strict=True
             )
         ])

@@ -4,6 +4,7 @@ import contextlib
 import sys
 from collections import deque
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,12 +16,32 @@ from app.tracking import actions, falls
 from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
 from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
-from tests.conftest import png
+from tests.conftest import WALKERS, png
 from tests.support.jobs import ShortJob
 
 
 def events(result: TrackedFrame) -> list[tuple[str, int]]:
     return [(event.event, event.track_id) for event in result.events]
+
+
+def test_all_but_poses_is_the_same_whether_or_not_poses_are_wanted(estimator: Estimator) -> None:
+    """Two walkers in front of a camera that sways, read by the networks."""
+    street = cv2.imread(str(WALKERS))
+    answers = []
+    for n in (0, 1, 7):
+        session, seen = CameraSession(estimator), []
+        for step in range(9):
+            upload = Upload(np.roll(street, 2 * step, axis=1))
+            result = session.process(upload, step / 5, n, Job())
+            seen += result.events
+            for one in result.persons:
+                assert (one.pose is None) == (n == 0) and len(one.hypotheses) == min(n, 7)
+                assert one.posture is not None
+                shares = one.posture.shares.tolist()
+                seen += [one.track_id, one.box, shares, one.facing, one.action, one.zones]
+        answers.append(seen)
+    assert len(answers[0]) > 50
+    assert answers[0] == answers[1] == answers[2]
 
 
 @pytest.mark.parametrize(("place", "left_after_s"), [(2, 0.5), (100, 2.0)])

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.posture import EstimatedPosture, vote_posture
-from app.estimation.results import Facing
+from app.estimation.posture import EstimatedPosture
 from app.tracking.actions import (
     FULL_WEIGHT_PX,
     RATE_HZ,
@@ -20,9 +19,7 @@ from app.tracking.actions import (
     shipped_model,
     window_features,
 )
-from app.tracking.motion import STILL
 from app.tracking.results import RecognisedAction, SmoothedPose
-from app.tracking.smoothing import Smoothed
 from app.vision.geometry import Box
 from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
@@ -48,10 +45,9 @@ def features_of(
     return action_features(poses, up, np.outer(np.arange(len(poses)) / RATE_HZ, [m_s, 0.0]))
 
 
-def smoothed(points_3d: NDArray[np.float64]) -> Smoothed:
+def sample(time: float, points_3d: NDArray[np.float64]) -> PoseSample:
     pose = SmoothedPose(points_3d, PX_PER_M * points_3d[:, :2], 0.8, 0)
-    votes = vote_posture(["standing"], [1.0])
-    return Smoothed(pose, Facing(1.0, "none"), votes, STILL, 10.0, 100.0, (0.0, 0.0))
+    return PoseSample.of(time, pose, 10.0)
 
 
 def recognise(
@@ -61,7 +57,7 @@ def recognise(
     rotation = camera_rotation(30.0, 10.0)
     poses = swinging(len(times) / RATE_HZ) @ rotation.T
     return [
-        recogniser.update(time, person_of([pose], [0.8], action=action), smoothed(pose))
+        recogniser.update(sample(time, pose), person_of([pose], [0.8], action=action))
         for time, pose in zip(times, poses, strict=True)
     ]
 
@@ -132,7 +128,7 @@ def test_limbs_of_small_people_count_little(
     for step, pose in enumerate(swinging(2)):
         one = person_of([pose], [0.8])
         one = replace(one, box=box)
-        result = recogniser.update(step / RATE_HZ, one, smoothed(pose), one_hot("standing"))
+        result = recogniser.update(sample(step / RATE_HZ, pose), one, one_hot("standing"))
     assert result is not None and result.label == best
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.results import Facing, Person
+from app.estimation.results import Person
+from app.tracking.body import SeenBody
+from app.tracking.motion import Motion, MotionFilter
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
-from app.vision.people import Silhouette
+from app.vision.people import Landmarks, Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
 from index.skeleton import POINT_NAMES, POINTS, bone_lengths, wrap_degrees
@@ -17,11 +19,22 @@ from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 ELEVATION_DEG = 20.0
 
 
-def follow(people: list[Person]) -> list[Smoothed]:
-    smoother = PoseSmoother()
-    updates = [smoother.update(person, 0.1 * frame) for frame, person in enumerate(people)]
-    assert all(update is not None for update in updates)
-    return [update for update in updates if update is not None]
+class Follower:
+    def __init__(self) -> None:
+        self.motions, self.smoother = MotionFilter(), PoseSmoother()
+
+    def update(self, person: Person, timestamp: float) -> tuple[Motion, Smoothed]:
+        body = SeenBody.of(person)
+        assert body is not None
+        motion = self.motions.update(timestamp, person.whole_box, body)
+        smoothed = self.smoother.update(person, timestamp, motion)
+        assert smoothed is not None
+        return motion, smoothed
+
+
+def follow(people: list[Person]) -> list[tuple[Motion, Smoothed]]:
+    follower = Follower()
+    return [follower.update(person, 0.1 * frame) for frame, person in enumerate(people)]
 
 
 def likeliest(smoothed: Smoothed) -> str:
@@ -49,23 +62,23 @@ def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> lis
 )
 def test_people_face_where_they_walk(right_m_s: float, away_m_s: float, facing_deg: float) -> None:
     candidates = [facing_deg, facing_deg + 180.0, 180.0 - facing_deg + 1e-3]
-    last = follow(walkers(right_m_s, away_m_s, candidates))[-1]
+    motion, last = follow(walkers(right_m_s, away_m_s, candidates))[-1]
     turned = wrap_degrees(azimuth_deg(last.pose.points_3d[None])[0] - facing_deg)
     assert abs(float(turned)) < 30
-    assert last.facing.evidence == "motion"
+    assert motion.walks
 
 
 def test_standing_is_no_evidence_of_facing() -> None:
-    last = follow(walkers(0.0, 0.0, [0.0, 180.0]))[-1]
-    assert last.facing.evidence == "none"
-    assert last.facing.front_probability == pytest.approx(0.5)
+    motion, _ = follow(walkers(0.0, 0.0, [0.0, 180.0]))[-1]
+    assert not motion.walks
+    assert motion.heading.front_probability == pytest.approx(0.5)
 
 
 def test_a_single_flipped_frame_changes_nothing() -> None:
     front, back = seen_from(0.0), seen_from(180.0)
     people = [person_of([front, back], [0.7, 0.4]) for _ in range(10)]
     people[6] = person_of([back, front], [0.75, 0.4])
-    assert all(update.facing.front_probability > 0.6 for update in follow(people))
+    assert all(motion.heading.front_probability > 0.6 for motion, _ in follow(people))
 
 
 def test_a_lasting_change_is_followed() -> None:
@@ -73,13 +86,13 @@ def test_a_lasting_change_is_followed() -> None:
     people = [person_of([front, side], [0.9, 0.1])] * 5 + [
         person_of([side, front], [0.9, 0.1])
     ] * 30
-    last = follow(people)[-1]
+    _, last = follow(people)[-1]
     assert np.linalg.norm(last.pose.points_3d - side, axis=-1).mean() < 0.05
 
 
 def test_a_steady_pose_stays_as_it_is() -> None:
     pose = seen_from(30.0)
-    for update in follow([person_of([pose], [0.8]) for _ in range(8)]):
+    for _, update in follow([person_of([pose], [0.8]) for _ in range(8)]):
         np.testing.assert_allclose(update.pose.points_3d, pose, atol=1e-9)
         assert update.pose.entry == 0
 
@@ -90,7 +103,7 @@ def test_bones_keep_their_lengths() -> None:
         person_of([seen_from(azimuth), seen_from(azimuth + 15)], [0.6, 0.5])
         for azimuth in np.linspace(0, 80, 20)
     ]
-    for update in follow(people):
+    for _, update in follow(people):
         np.testing.assert_allclose(
             bone_lengths(update.pose.points_3d), bone_lengths(seen_from(0)), rtol=1e-6
         )
@@ -101,27 +114,27 @@ def test_noise_is_smoothed_away() -> None:
     pose = seen_from(40.0)
     noisy = [[pose + rng.normal(0, 0.05, pose.shape) for _ in range(6)] for _ in range(20)]
     updates = follow([person_of(poses, [0.5] * 6) for poses in noisy])
-    smooth = np.array([update.pose.points_3d for update in updates])
+    smooth = np.array([update.pose.points_3d for _, update in updates])
     raw = np.array([poses[0] for poses in noisy])
     assert np.abs(smooth - pose).mean() < 0.9 * np.abs(raw - pose).mean()
     assert np.abs(np.diff(smooth, axis=0)).mean() < 0.7 * np.abs(np.diff(raw, axis=0)).mean()
 
 
 def test_without_hypotheses_there_is_no_pose() -> None:
-    person = person_of([seen_from(0.0)], [0.5])
+    person, follower = person_of([seen_from(0.0)], [0.5]), Follower()
+    motion, _ = follower.update(person, 0.0)
     hidden = replace(person, facing=None, posture=None, hypotheses=())
-    smoother = PoseSmoother()
-    assert smoother.update(person, 0.0) is not None
-    assert smoother.update(hidden, 0.1) is None
-    assert smoother.update(person, 0.2) is not None
+    assert SeenBody.of(hidden) is None
+    assert follower.smoother.update(hidden, 0.1, motion) is None
+    follower.update(person, 0.2)
 
 
 def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
-    smoother = PoseSmoother()
+    follower = Follower()
+    smoother = follower.smoother
     person = person_of([seen_from(0.0)], [0.5])
     assert smoother.extrapolate(person, 0.0) is None
-    before = smoother.update(person, 0.0)
-    assert before is not None
+    _, before = follower.update(person, 0.0)
     box = person.box
     moved = replace(person, box=replace(box, x=box.x + 8, y=box.y - 3))
     extrapolated = smoother.extrapolate(moved, EXTRAPOLATED_S)
@@ -139,10 +152,10 @@ def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box
     crop[30:32, 20:] = True
     reaching = Silhouette(crop, 100, 50, "mask", truncated=False)
     person = person_of([seen_from(0.0)], [0.5])
-    smoother = PoseSmoother()
-    before = smoother.update(replace(person, silhouette=standing), 0.0)
-    extrapolated = smoother.extrapolate(replace(person, silhouette=reaching), 0.1)
-    assert before is not None and extrapolated is not None
+    follower = Follower()
+    _, before = follower.update(replace(person, silhouette=standing), 0.0)
+    extrapolated = follower.smoother.extrapolate(replace(person, silhouette=reaching), 0.1)
+    assert extrapolated is not None
     shift = extrapolated.points_2d - before.pose.points_2d
     expected = reaching.centroid - standing.centroid
     np.testing.assert_allclose(shift, np.broadcast_to(expected, shift.shape))
@@ -153,7 +166,7 @@ def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box
     ("speed_m_s", "posture"), [(0.0, "standing"), (1.2, "walking"), (3.5, "running")]
 )
 def test_walking_and_running_follow_the_measured_speed(speed_m_s: float, posture: str) -> None:
-    assert likeliest(follow(walkers(speed_m_s, 0.0, [-90.0]))[-1]) == posture
+    assert likeliest(follow(walkers(speed_m_s, 0.0, [-90.0]))[-1][1]) == posture
 
 
 def test_a_sitting_person_does_not_walk_however_fast_the_chair() -> None:
@@ -161,7 +174,7 @@ def test_a_sitting_person_does_not_walk_however_fast_the_chair() -> None:
         person_of([seen_from(-90.0)], [0.5], (200 + 20 * frame, 200.0), postures=["sitting"])
         for frame in range(20)
     ]
-    assert likeliest(follow(people)[-1]) == "sitting"
+    assert likeliest(follow(people)[-1][1]) == "sitting"
 
 
 def arms_raised(degrees: float) -> NDArray[np.float64]:
@@ -179,13 +192,12 @@ def arms_raised(degrees: float) -> NDArray[np.float64]:
 
 def share_after(seconds: float, fps: int) -> float:
     """Share of a pose that is always a little likelier than another one."""
-    smoother = PoseSmoother()
+    follower = Follower()
     person = person_of(
         [arms_raised(0.0), arms_raised(20.0)], [0.52, 0.48], postures=["standing", "bending"]
     )
     for frame in range(round(seconds * fps) + 1):
-        smoothed = smoother.update(person, frame / fps)
-    assert smoothed is not None
+        _, smoothed = follower.update(person, frame / fps)
     return float(smoothed.votes[POSTURES.index("standing")])
 
 
@@ -197,33 +209,32 @@ def test_more_frames_a_second_are_no_more_evidence() -> None:
 @pytest.mark.parametrize(("gap_s", "follows"), [(0.1, False), (20.0, True)])
 def test_the_sooner_a_pose_changes_the_more_evidence_it_needs(gap_s: float, follows: bool) -> None:
     low, high = arms_raised(0.0), arms_raised(150.0)
-    smoother = PoseSmoother()
+    follower = Follower()
     for frame in range(3):
-        smoother.update(person_of([low, high], [0.7, 0.3]), frame / 10)
-    last = smoother.update(person_of([high, low], [0.7, 0.3]), 0.2 + gap_s)
-    assert last is not None
+        follower.update(person_of([low, high], [0.7, 0.3]), frame / 10)
+    _, last = follower.update(person_of([high, low], [0.7, 0.3]), 0.2 + gap_s)
     assert (last.pose.entry == 0) == follows
 
 
 def test_poses_far_from_the_likeliest_do_not_blend_with_it() -> None:
     low, high = arms_raised(0.0), arms_raised(170.0)
-    last = follow([person_of([low, high], [0.6, 0.55])] * 5)[-1]
+    _, last = follow([person_of([low, high], [0.6, 0.55])] * 5)[-1]
     mixed = np.linalg.norm(last.pose.points_3d - low, axis=-1).mean()
     assert mixed < 0.45 * np.linalg.norm(high - low, axis=-1).mean() * 0.55
 
 
 def test_a_steady_turn_is_followed_without_lag() -> None:
     turns = np.arange(0.0, 60.0, 3.0).tolist()
-    last = follow([person_of([seen_from(azimuth)], [0.8]) for azimuth in turns])[-1]
+    _, last = follow([person_of([seen_from(azimuth)], [0.8]) for azimuth in turns])[-1]
     assert azimuth_deg(last.pose.points_3d[None])[0] == pytest.approx(turns[-1], abs=1.0)
 
 
 def test_the_number_of_hypotheses_may_change_from_frame_to_frame() -> None:
     poses = [seen_from(azimuth) for azimuth in (0.0, 5.0, 40.0, 170.0)]
     people = [person_of(poses[:count], [0.5, 0.4, 0.3, 0.2][:count]) for count in (4, 2, 1, 3, 4)]
-    for update in follow(people):
+    for motion, update in follow(people):
         assert abs(azimuth_deg(update.pose.points_3d[None])[0]) < 20
-        assert update.elevation_deg == pytest.approx(10.0)
+        assert motion.elevation_deg == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(("height_px", "keeps"), [(60.0, True), (400.0, False)])
@@ -231,12 +242,13 @@ def test_small_upright_people_keep_the_side_that_they_show(height_px: float, kee
     """Landmarks of small people seen from the side flip; those of large ones do not."""
     azimuths = [60.0] * 10 + [110.0] * 2
     people = [person_of([seen_from(azimuth)], [0.9]) for azimuth in azimuths]
-    last = follow(
+    landmarks = Landmarks(np.zeros((33, 2)), np.ones(33), np.zeros((33, 3)))
+    _, last = follow(
         [
             replace(
                 person,
                 box=replace(person.box, height=height_px),
-                facing=Facing(0.9, "image"),
+                landmarks=landmarks,
             )
             for person in people
         ]
