@@ -1,9 +1,11 @@
 """A camera session: frames of one fixed camera, in order, to people with identities."""
 
+from __future__ import annotations
+
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,8 @@ from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
 from app.vision.appearance import Patch, colours_of
 from app.vision.geometry import Box
+from app.vision.images import ImageWarning
+from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
 from app.vision.truncation import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
@@ -40,6 +44,25 @@ _HIDDEN_SHARE = 0.5
 
 class LateFrameError(ValueError):
     """A frame is not later than the one before."""
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A frame as sent, its camera and the warnings about it."""
+
+    frame: NDArray[np.uint8]
+    camera: PinholeCamera
+    warnings: tuple[ImageWarning, ...]
+
+
+def _warnings(zones: Sequence[Zone], shape: tuple[int, ...]) -> tuple[ImageWarning, ...]:
+    """Warnings about the zones of a frame."""
+    return ("zone_outside",) if any(is_outside(one.polygon, shape) for one in zones) else ()
+
+
+def _black(shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """A black frame that takes no memory."""
+    return np.broadcast_to(np.zeros(1, np.uint8), shape)
 
 
 class CameraSession:
@@ -65,6 +88,9 @@ class CameraSession:
         self._rectification: Rectification | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
+        # What the frame before showed, without its pixels, and its optics if it was empty.
+        self._last: _Shown | None = None
+        self._optics: Optics | None = None
         # These have not been reported yet, since a frame may fail half-way.
         self._reset: str | None = None
         self._events: list[Event] = []
@@ -113,11 +139,12 @@ class CameraSession:
         job = job or Job()
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
+        if (still := self._still_frame(upload, timestamp, evidence, job)) is not None:
+            still = replace(still, warnings=_warnings(zones, still.frame.shape))
+            return self._answered(still, timestamp, arrived, (), job)
         decoded = self._estimator.decode(upload, job)
         frame, rectification = decoded.frame, decoded.rectification
-        warnings = decoded.warnings
-        if any(is_outside(zone.polygon, decoded.sent.shape) for zone in zones):
-            warnings = (*warnings, "zone_outside")
+        warnings = (*decoded.warnings, *_warnings(zones, decoded.sent.shape))
         zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(rectification, timestamp)
         people, in_window = self._find(decoded, evidence, timestamp, job)
@@ -133,20 +160,68 @@ class CameraSession:
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
-        # The time is stored only now, so that a frame that failed half-way may be sent again.
+        changed = decoded.warnings or rectification.changes
+        self._optics = None if changed or self._tracks else upload.optics
+        shown = _Shown(decoded.sent, rectification.camera_sent(decoded.camera), warnings)
+        self._last = replace(shown, frame=_black(decoded.sent.shape))
+        persons = tuple(_as_sent(person, rectification) for person in tracked)
+        return self._answered(shown, timestamp, arrived, persons, job)
+
+    def _still_frame(
+        self,
+        upload: Upload,
+        timestamp: float,
+        evidence: Evidence,
+        job: Job,
+    ) -> _Shown | None:
+        """The frame of an upload whose file shows that the scene is as empty as before, if it does.
+
+        Its pixels, which nobody looks at, stay black.
+        """
+        data, last = upload.frame, self._last
+        if (
+            last is None
+            or self._optics is None
+            or upload.optics != self._optics
+            or upload.given != ("frame",)
+            or not isinstance(data, bytes)
+            or evidence != "photograph"
+            or self._tracks
+            or self._reset
+            or not 0 <= timestamp - self._timestamp <= _MAX_GAP_S
+        ):
+            return None
+        with job.stage("decode"):
+            if not self._detector.shows_nothing_new(data, last.frame.shape, timestamp):
+                return None
+        job.checkpoint()
+        return last
+
+    def _answered(
+        self,
+        shown: _Shown,
+        timestamp: float,
+        arrived: float,
+        persons: tuple[TrackedPerson, ...],
+        job: Job,
+    ) -> TrackedFrame:
+        """Finish a frame and report what began or ended at it.
+
+        The time is stored only now, so that a frame that failed half-way may be sent again.
+        """
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
         return TrackedFrame(
-            frame=decoded.sent,
-            camera=rectification.camera_sent(decoded.camera),
-            warnings=warnings,
+            frame=shown.frame,
+            camera=shown.camera,
+            warnings=shown.warnings,
             frame_index=self._frames - 1,
             timestamp=timestamp,
             session="new" if self._frames == 1 else "warm",
             reset=reset,
-            persons=tuple(_as_sent(person, rectification) for person in tracked),
+            persons=persons,
             events=events,
             timings_ms=job.timings_ms(),
         )

@@ -3,7 +3,8 @@
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
 to. Now and then, and if a track's window no longer shows anybody, the whole frame is searched, to
 find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
-have drifted off. While nothing changes around tracked people, searches are rarer.
+have drifted off. While nothing changes around tracked people, searches are rarer; while nobody is
+there, the coefficients of a JPEG show that nothing changes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from app.tracking.track import Track
 from app.vision.blazepose import PoseReading
 from app.vision.detectors.tiles import smallest_person_px
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
+from app.vision.images import reduced_grey
 from app.vision.people import Detection
 from app.vision.same_person import is_expected
 from app.vision.truncation import ends_at_border
@@ -33,6 +35,13 @@ SEARCH_EVERY_S = 0.4
 
 STILL_SEARCH_EVERY_S = 3.0
 """The same while it does not."""
+
+EMPTY_SEARCH_EVERY_S = 12.0
+"""The same while nobody is tracked either: only who was missed when they came is found later."""
+
+# A person who enters is soon seen better: for so long after a still scene has changed, every frame
+# is searched.
+_ENTERS_WITHIN_S = 1.0
 
 # A track's window is read for this long after a sighting.
 _WINDOW_LASTS_S = 0.5
@@ -76,18 +85,35 @@ class TrackedPeopleDetector:
                 in_window.setdefault(row, track)
         return people, in_window
 
+    def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
+        """Whether a JPEG file is enough to see that a scene without tracks is still empty.
+
+        Its frame has the shape of those before. If not, or if a search is due, the frame has to be
+        decoded.
+        """
+        if timestamp - self._searched_at >= EMPTY_SEARCH_EVERY_S:
+            return False
+        smallest = smallest_person_px(shape, self._finder.min_person_px)
+        if not self._scene.is_still_in_file(data, shape, smallest, timestamp):
+            return False
+        self._read_at = timestamp
+        return True
+
     def _targets(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
     ) -> tuple[list[Target], list[Detection], Expected]:
         """People found by a search, those perhaps beside them, and tracks to be read in windows.
 
-        If the windows show everybody whom a search may find, there is none. Without tracks, every
-        frame is searched unless the scene is still.
+        If the windows show everybody whom a search may find, there is none.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
         still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
-        interval = STILL_SEARCH_EVERY_S if still else SEARCH_EVERY_S
+        if still:
+            interval = STILL_SEARCH_EVERY_S if tracks else EMPTY_SEARCH_EVERY_S
+        else:
+            someone_enters = not tracks and self._scene.has_just_changed(timestamp)
+            interval = 0.0 if someone_enters else SEARCH_EVERY_S
         expected, lost = state.expected, state.lost
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
             expected = self._shown(frame, timestamp, expected, job)
@@ -140,8 +166,8 @@ class _Followed:
 
     ``expected`` has windows of those seen a moment ago, ``lost`` are confirmed ones that the frame
     before did not show, ``all_in_windows`` says that everybody is confirmed and has a window, and
-    ``may_suffice`` that the windows may show everybody there is: people who fell lie where they
-    were last seen, so they cause no search before the next one is due.
+    ``may_suffice`` that the windows may show everybody there is, if anybody: people who fell lie
+    where they were last seen, so they cause no search before the next one is due.
     """
 
     expected: Expected
@@ -160,7 +186,8 @@ class _Followed:
             expected,
             lost,
             all_in_windows=len(expected) == len(people) == len(tracks) and not lost,
-            may_suffice=whole and (bool(expected) or any(track.lies_at for track in tracks)),
+            may_suffice=whole
+            and (bool(expected) or not tracks or any(track.lies_at for track in tracks)),
         )
 
 
@@ -192,6 +219,13 @@ _STILL_AFTER_S = 2.0
 _TRACK_MARGIN = 0.1
 
 
+def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, tuple[int, int]]:
+    """Scale, and height and width, at which frames of a shape are compared."""
+    scale = min(1.0, _PERSON_CELLS / smallest_px, _MAX_CELLS / max(shape))
+    height, width = (max(1, round(side * scale)) for side in shape[:2])
+    return scale, (height, width)
+
+
 class _Scene:
     """What a fixed camera shows around tracked people, compared with the last search's frame.
 
@@ -202,7 +236,7 @@ class _Scene:
         self._now: NDArray[np.uint8] | None = None
         self._searched: NDArray[np.uint8] | None = None
         self._boxes: dict[Track, Box] = {}  # Where tracked people were at the last search.
-        self._changed_at = -math.inf
+        self._changed_at = self._still_at = -math.inf
 
     def is_still(
         self, frame: NDArray[np.uint8], smallest_px: float, time: float, tracks: Sequence[Track]
@@ -211,8 +245,7 @@ class _Scene:
 
         The smallest person wanted is ``smallest_px`` high in the frame.
         """
-        scale = min(1.0, _PERSON_CELLS / smallest_px, _MAX_CELLS / max(frame.shape))
-        height, width = (max(1, round(side * scale)) for side in frame.shape[:2])
+        scale, (height, width) = _small(frame.shape, smallest_px)
         small = shrink_quickly(frame, width, height)
         self._now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         places = [track.box_filter.predict(time) for track in tracks]
@@ -221,7 +254,30 @@ class _Scene:
         places += self._boxes.values()
         if self._searched is None or self._differs(self._searched, now, scale, places):
             self._changed_at = time
-        return time - self._changed_at >= _STILL_AFTER_S
+        return self._is_still_at(time)
+
+    def is_still_in_file(
+        self, data: bytes, shape: tuple[int, ...], smallest_px: float, time: float
+    ) -> bool:
+        """The same without tracks, by a JPEG file; False also where the frame has to decide."""
+        scale, (height, width) = _small(shape, smallest_px)
+        if self._searched is None or time - self._changed_at < _STILL_AFTER_S:
+            return False
+        grey = reduced_grey(data, shape, (height, width))
+        if grey is None:
+            return False
+        now = shrink_quickly(grey, width, height)
+        return not self._differs(self._searched, now, scale, []) and self._is_still_at(time)
+
+    def has_just_changed(self, time: float) -> bool:
+        """Whether the scene was still a moment ago."""
+        return time - self._still_at <= _ENTERS_WITHIN_S
+
+    def _is_still_at(self, time: float) -> bool:
+        still = time - self._changed_at >= _STILL_AFTER_S
+        if still:
+            self._still_at = time
+        return still
 
     def restart(self) -> None:
         """Compare with the present frame from now on, since it is searched."""

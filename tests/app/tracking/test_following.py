@@ -12,15 +12,17 @@ import pytest
 
 from app.camera import CameraSession
 from app.estimation.results import Person
-from app.estimation.upload import Upload
+from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import (
+    EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
+from app.tracking.zones import Zone
 from app.vision.optics import PinholeCamera
 from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
 from tests.conftest import png
@@ -167,15 +169,66 @@ def still(session: CameraSession, *people: tuple[int, int], light: float = 150) 
         assert ids(result) == [*range(1, 1 + len(people))]
 
 
-@pytest.mark.parametrize("people", [(), ((0, 10), (1, 200))])
+@pytest.mark.parametrize(
+    ("people", "interval_s"),
+    [((), EMPTY_SEARCH_EVERY_S), (((0, 10), (1, 200)), STILL_SEARCH_EVERY_S)],
+)
 def test_a_still_scene_is_searched_rarely(
-    session: CameraSession, detector: ColourDetector, people: tuple[tuple[int, int], ...]
+    session: CameraSession,
+    detector: ColourDetector,
+    people: tuple[tuple[int, int], ...],
+    interval_s: float,
 ) -> None:
     still(session, *people)
     detector.searches = 0
-    for step in range(15, 75):
+    for step in range(15, 135):
         send(session, step / 5, *people)
-    assert detector.searches == 12 / STILL_SEARCH_EVERY_S
+    assert detector.searches == 24 / interval_s
+
+
+def test_an_empty_scene_that_is_not_still_is_searched_at_intervals(
+    session: CameraSession, detector: ColourDetector
+) -> None:
+    for step in range(30):
+        send(session, step / 5, light=150 + 10 * (step % 2))
+    assert detector.searches == pytest.approx(6 / SEARCH_EVERY_S, abs=3)
+
+
+def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
+    drawn: Estimator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody enters, leaves, and comes back; a file breaks off."""
+    decoded = []
+    decode = drawn.decode
+
+    def counted(upload: Upload, job: Job) -> DecodedUpload:
+        decoded.append(upload)
+        return decode(upload, job)
+
+    monkeypatch.setattr(drawn, "decode", counted)
+    by_file, by_pixels = CameraSession(drawn), CameraSession(drawn)
+    for step in range(90):
+        people = [(0, 10 * (step % 20))] if 20 <= step % 50 < 30 else []
+        pixels = pictures.decode(draw(*people, seed=step))
+        file = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+        if step == 18:
+            file = file[: len(file) * 2 // 3]
+        pixels = decode(Upload(file), Job()).frame
+        zones = [Zone("far", "watch", np.array([[900.0, 0], [950, 0], [950, 50]]))] * (step > 85)
+        one, other = (
+            session.process(Upload(frame), step / 5, 0, Job(), zones=zones)
+            for session, frame in ((by_file, file), (by_pixels, pixels))
+        )
+        for name in ("frame_index", "timestamp", "session", "events"):
+            assert getattr(one, name) == getattr(other, name)
+        assert [(p.track_id, p.box) for p in one.persons] == [
+            (p.track_id, p.box) for p in other.persons
+        ]
+        assert one.frame.shape == other.frame.shape
+        assert ("truncated" in one.warnings) == (step == 18)
+        assert ("zone_outside" in one.warnings) == (step > 85)
+    files = sum(isinstance(upload.frame, bytes) for upload in decoded)
+    assert 40 < files < 75
 
 
 @pytest.mark.parametrize("known", [(), ((1, 200),)])
@@ -200,7 +253,7 @@ def test_a_person_who_was_there_before_they_were_recognised_is_found(
     for step in range(15):
         assert not send(session, step / 5, (0, 100)).persons
     detector.blind = False
-    found = [ids(send(session, 3 + step / 5, (0, 100))) for step in range(16)]
+    found = [ids(send(session, 3 + step / 5, (0, 100))) for step in range(61)]
     assert found[0] == [] and found[-1] == [1]
 
 
@@ -241,7 +294,7 @@ def test_a_cameras_clock_is_no_change_and_its_turning_is(
         frame = wall[:, left : left + 300].copy()
         cv2.putText(frame, f"12:00:{step // 5:02}", (4, 20), 0, 0.5, (255, 255, 255), 1)
         session.process(Upload(png(frame)), step / 5, 1, Job())
-    assert detector.searches == (30 if turns else 6 / STILL_SEARCH_EVERY_S)
+    assert detector.searches == pytest.approx(6 / SEARCH_EVERY_S if turns else 0, abs=3)
 
 
 def test_a_person_lost_in_a_still_scene_is_searched_for_until_the_track_ends(
