@@ -85,6 +85,9 @@ class PoseHypothesis:
     outline_distance_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame; not a number of those that only vote.
+    twin : bool
+        Whether this is the first hypothesis from behind: depth reversed, left and right exchanged.
+        Its outline is the same; all that is said of the entry holds for the first hypothesis.
     features : (F,) float64 array
         What the confidence follows from without landmarks: :data:`index.confidence.FEATURES`, or
         :data:`index.confidence.RERANKING_FEATURES`; none with landmarks.
@@ -103,6 +106,7 @@ class PoseHypothesis:
     adjusted_m: float = 0.0
     weight: float | None = None
     outline_distance_px: float = math.nan
+    twin: bool = False
     features: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
     def __post_init__(self) -> None:
@@ -127,7 +131,7 @@ class Match:
         Probability that the camera sees the person from the front: the confidence of voters that
         face it, as a share of the confidence of all. It does not depend on how many were requested.
     voters : list of PoseHypothesis
-        Those that decide the posture, likewise: modes, but no alternatives in depth.
+        Those that decide the posture, likewise: modes, but no alternatives in depth and no twin.
     """
 
     hypotheses: list[PoseHypothesis]

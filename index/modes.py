@@ -210,7 +210,7 @@ def depth_modes(
     truths = means + draws @ np.linalg.cholesky(errors - gain @ errors + _MIN_VARIANCE * limbs).T
     likely = np.argsort(-shares, kind="stable")[:_POSTERIOR_DRAWS]
     truths, shares = truths[likely], shares[likely] / shares[likely].sum()
-    modes = _spread_modes(truths, shares, count)
+    modes = spread_modes(truths, shares, count)
     nearest = _depth_distances(truths, modes).argmin(axis=1)
     cells = np.asarray(np.bincount(nearest, shares, len(modes)), np.float64)
     offsets = modes[1:]
@@ -221,7 +221,7 @@ def depth_modes(
     return DepthModes(rows, offsets, cells[1:], misfits)
 
 
-def _spread_modes(
+def spread_modes(
     truths: NDArray[np.float64], shares: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
     """Zero, and ``count`` more offsets ``(12,)`` near to most of the truths ``(K, 12)``.

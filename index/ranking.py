@@ -42,10 +42,15 @@ class DistanceRanking:
         """Move modes towards what else is known of the joints."""
         return modes
 
+    def distances(self, modes: Modes) -> NDArray[np.float64]:
+        """Distances ``(M,)`` of modes."""
+        return modes.distances
+
     def order(self, modes: Modes, n: int) -> tuple[Modes, NDArray[np.float64]]:
-        """The ``n`` nearest modes, or more, and their distances ``(M,)``, ascending."""
-        nearest = modes.nearest()
-        return nearest, nearest.distances
+        """The ``n`` nearest modes and their distances ``(M,)``, ascending."""
+        distances = self.distances(modes)
+        nearest = np.argsort(distances, kind="stable")[:n]
+        return modes.take(nearest), distances[nearest]
 
     def features(
         self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
@@ -98,17 +103,14 @@ class NetworkRanking(DistanceRanking):
         likelihood = self.log_likelihood(candidates)
         return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 
-    def order(self, modes: Modes, n: int) -> tuple[Modes, NDArray[np.float64]]:
-        """The ``n`` nearest modes and their distances ``(M,)``, ascending.
+    def distances(self, modes: Modes) -> NDArray[np.float64]:
+        """Descriptor distances ``(M,)``, increased more the less likely the joints are.
 
-        Distances of descriptors are increased more the less likely the joints are; the likeliest
-        mode keeps its distance.
+        The likeliest mode keeps its distance.
         """
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
-        distances = modes.distances * np.exp(self.model.order_weight * lacking)
-        nearest = np.argsort(distances, kind="stable")[:n]
-        return modes.take(nearest), distances[nearest]
+        return modes.distances * np.exp(self.model.order_weight * lacking)
 
     def features(
         self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]

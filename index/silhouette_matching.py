@@ -4,6 +4,7 @@ Modes of the entries nearest to the silhouette are ordered by their distances an
 has a network, by how likely it finds their joints; the confidence is calibrated.
 """
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -25,7 +26,7 @@ from index.matching import (
 )
 from index.modes import Modes, candidate_weights, find_modes
 from index.ranking import DistanceRanking, NetworkRanking
-from index.skeleton import JOINTS
+from index.skeleton import JOINTS, exchange_sides, mean_joint_distance, reversed_in_depth
 from index.store import PoseIndex
 
 
@@ -42,8 +43,8 @@ def match_silhouette(
         Roll of the camera in the silhouette; not 0 if it was rotated because it is wide.
     """
     query = _SilhouetteQuery(index, silhouette, roll_deg)
-    found, _ = with_later_batches(query.batch, query.batch(DEFAULT_HYPOTHESES), n)
-    voters = found[:DEFAULT_HYPOTHESES]
+    voters, first = query.first_batch()
+    found, _ = with_later_batches(query.batch, first, n)
     votes = np.array([one.confidence for one in voters])
     return Match(found[: max(n, DEFAULT_HYPOTHESES)], front_share(headings(voters), votes), voters)
 
@@ -60,8 +61,53 @@ class _SilhouetteQuery(Query):
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
         """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
-        candidates, modes = self._modes(n)
-        modes, distances = self.ranking.order(modes, n)
+        return self._at_modes(*self._modes(n), at_least)
+
+    def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
+        """Find the first hypotheses, and those of them that are returned.
+
+        An outline cannot exclude the best pose as seen from behind: unless another is as near to it
+        as a right one, it takes the place of the last.
+        """
+        candidates, modes, distances = self._modes(DEFAULT_HYPOTHESES)
+        voters = self._at_modes(candidates, modes, distances)[:DEFAULT_HYPOTHESES]
+        best, others = voters[0], modes.take(slice(DEFAULT_HYPOTHESES - 1))
+        twin = replace(
+            modes.take([0]),
+            points_3d=reversed_in_depth(modes.points_3d[:1]),
+            points_normalised=exchange_sides(modes.points_normalised[:1]),
+        )
+        apart = mean_joint_distance(others.points_normalised, twin.points_normalised)
+        if apart.min() < RIGHT_BELOW_PX:
+            return voters, voters
+        shown = others.append(twin)
+        distances = self.ranking.distances(shown)
+        outline_px = np.array([one.outline_distance_px for one in [*voters[: len(others)], best]])
+        features = self.ranking.features(
+            _features(candidates, shown, outline_px), shown, distances
+        )[-1]
+        returned = voters[: len(others)]
+        returned.append(
+            replace(
+                best,
+                points_3d=reversed_in_depth(best.points_3d),
+                points_normalised=twin.points_normalised[0],
+                distance=max(returned[-1].distance, float(distances[-1])),
+                confidence=float(self.ranking.calibration.probability(features)),
+                twin=True,
+                features=features,
+            )
+        )
+        return voters, returned
+
+    def _at_modes(
+        self,
+        candidates: Candidates,
+        modes: Modes,
+        distances: NDArray[np.float64],
+        at_least: float = 0.0,
+    ) -> list[PoseHypothesis]:
+        """Hypotheses at ranked modes; no distance is smaller than ``at_least``."""
         entries = candidates.take(modes.centres)
         outline_px = self.outline_distances(
             entries.entry_ids, entries.mirrored, entries.rotation_deg
@@ -76,8 +122,11 @@ class _SilhouetteQuery(Query):
             features=features,
         )
 
-    def _modes(self, n: int) -> tuple[Candidates, Modes]:
-        """Take more and more candidates until they have ``n`` modes or the index has no more."""
+    def _modes(self, n: int) -> tuple[Candidates, Modes, NDArray[np.float64]]:
+        """About ``n`` modes, nearest first, with their distances, and their candidates.
+
+        There are more and more candidates until they have ``n`` modes or the index has no more.
+        """
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         ranking = self.ranking
@@ -88,7 +137,7 @@ class _SilhouetteQuery(Query):
             modes = find_modes(candidates, weights, n + SPARE_MODES, fit=ranking.fit)
             exhausted = len(candidates) < k
             if len(modes) >= n or exhausted or k >= MAX_CANDIDATE_GROWTH * ranking.candidates:
-                return candidates, modes
+                return candidates, *ranking.order(modes, n)
             k *= 2
 
 

@@ -188,6 +188,16 @@ def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
     return points.take(OTHER_SIDE, axis=-2)
 
 
+def reversed_in_depth(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Skeletons ``(..., 24, 3)`` in camera axes that cast the same outline from behind.
+
+    Depths change their sign, and left and right are exchanged, as in a body turned round.
+    """
+    turned = exchange_sides(points)
+    np.negative(turned[..., 2], out=turned[..., 2])
+    return turned
+
+
 def mirror_3d(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mirror image of skeletons ``(..., 24, 3)`` in body or camera axes."""
     mirrored = exchange_sides(points)

@@ -285,7 +285,7 @@ def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> 
         adjusted_mm=round(1000 * hypothesis.adjusted_m, 1),
         posture=hypothesis.posture,
         **joint_fields(hypothesis.points_3d, hypothesis.points_2d, form),
-        source=_source(hypothesis.label),
+        source=schemas.HypothesisSource(**dict(_source(hypothesis.label)), twin=hypothesis.twin),
         camera=_camera(hypothesis.label),
     )
 

@@ -341,6 +341,20 @@ class MotionSource(Model):
     )
 
 
+class HypothesisSource(MotionSource):
+    """The source of a hypothesis."""
+
+    twin: bool = Field(
+        default=False,
+        description="Whether the hypothesis is the twin of the first one: its depths are reversed, "
+        "and left and right are exchanged. An outline cannot distinguish the two, so of a "
+        "silhouette alone the twin is the seventh, unless one of the first six is as near to it "
+        "as a right hypothesis. It does not count for `posture` and `facing`; its `camera`, "
+        "`posture` and distances are those of the first.",
+        examples=[False],
+    )
+
+
 class Camera(Model):
     """Position of the virtual camera of an entry."""
 
@@ -432,7 +446,7 @@ class Hypothesis(Model):
         "null where the entry lacks it. Null as a whole unless `joints=compact`.",
         examples=[[431.2, 190.4, 430.6, 177.9]],
     )
-    source: MotionSource
+    source: HypothesisSource
     camera: Camera
 
 

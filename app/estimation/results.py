@@ -107,6 +107,11 @@ class Person:
         unseen = self.presence is not None and self.presence < MIN_PRESENCE
         return self.silhouette is None or unseen
 
+    @property
+    def voters(self) -> list[ProjectedHypothesis]:
+        """Hypotheses that decide posture, facing and action over time: all but the twin."""
+        return [one for one in self.hypotheses if not one.twin]
+
     def as_sent(self, rectification: Rectification) -> Self:
         """The same in pixels and axes of the frame as it was sent, for answers.
 

@@ -51,7 +51,7 @@ export function supposed({ confidence, reprojection_error_px: error, posture, en
     ["Outline", `${error.toFixed(1)} px from the entry’s, in 128 × 48 px`],
     ["Seen from", `${Math.abs(azimuth)}° to their ${side}, ${height(camera.elevation_deg)}`],
     ["Entry", `${entry}: clip ${source.clip} (${source.action}), frame ${source.frame}`
-      + `${source.mirrored ? ", mirrored" : ""}, on ${source.subject}`],
+      + `${source.mirrored ? ", mirrored" : ""}${source.twin ? ", from behind" : ""}, on ${source.subject}`],
   ];
 }
 

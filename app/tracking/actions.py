@@ -208,7 +208,7 @@ class ActionRecogniser:
         the person has been seen for a second, and if no action is likely.
         """
         timestamp = sample.timestamp
-        self._add_sample(sample, () if posture else person.hypotheses)
+        self._add_sample(sample, () if posture else person.voters)
         if timestamp - self._window[0][0].timestamp < _MIN_WINDOW_S:
             return None
         if timestamp - self._last_at >= _EVERY_S:

@@ -98,7 +98,7 @@ class SeenBody:
 
     @classmethod
     def _by_hypotheses(cls, person: Person) -> SeenBody:
-        hypotheses = person.hypotheses[:MAX_BODIES]
+        hypotheses = person.voters[:MAX_BODIES]
         points_3d = np.array([one.points_3d for one in hypotheses])
         points_2d = np.array([one.points_2d for one in hypotheses])
         weights = np.array([one.confidence for one in hypotheses]) + 1e-6
@@ -117,7 +117,7 @@ class SeenBody:
 
 def log_likelihoods(person: Person) -> NDArray[np.float64]:
     """Log likelihoods ``(N,)`` of a person's hypotheses, see :class:`SeenBody`."""
-    hypotheses = person.hypotheses
+    hypotheses = person.voters
     result = _CONFIDENCE_WEIGHT * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
     distances = np.array([one.distance for one in hypotheses]) + 1e-9
     weight = clarity_of(person) * _LANDMARK_WEIGHT

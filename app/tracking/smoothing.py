@@ -104,7 +104,7 @@ class _Frame:
 
     @classmethod
     def of(cls, person: Person, max_states: int) -> _Frame:
-        hypotheses = person.hypotheses[:max_states]
+        hypotheses = person.voters[:max_states]
         return cls(
             hypotheses,
             np.array([placed.points_3d for placed in hypotheses]),

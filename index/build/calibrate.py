@@ -109,8 +109,8 @@ class Trial:
         the hips cannot tell them.
     error_m : (Q, N) float64 array
         Mean joint error in camera axes, pelvis on pelvis, metres.
-    postures : (Q, N) int64 array
-        Positions in :data:`index.posture.POSTURES`; -1 where there is no hypothesis.
+    votes : (Q, 10) float64 array
+        Confidence with which hypotheses vote for each of :data:`index.posture.POSTURES`.
     """
 
     features: NDArray[np.float64]
@@ -118,7 +118,7 @@ class Trial:
     joint_errors_px: NDArray[np.float64]
     twin_error_px: NDArray[np.float64]
     error_m: NDArray[np.float64]
-    postures: NDArray[np.int64]
+    votes: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Trial:
         """The answers to some queries."""
@@ -142,10 +142,12 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
     confidence = np.zeros((len(queries), n))
     joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
-    postures = np.full((len(queries), n), -1)
+    votes = np.zeros((len(queries), len(POSTURES)))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=None):
         roll_deg = float(queries.roll_deg[row])
         found = match_silhouette(index, queries.silhouettes[row], n, roll_deg=roll_deg)
+        for voter in found.voters:
+            votes[row, POSTURES.index(voter.posture)] += voter.confidence
         for rank, hypothesis in enumerate(found.hypotheses[:n]):
             features[row, rank] = hypothesis.features
             twin = exchange_sides(hypothesis.points_normalised)
@@ -153,11 +155,10 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
             apart_twin = twin[:JOINTS] - queries.joints_2d[row]
             apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence
-            postures[row, rank] = POSTURES.index(hypothesis.posture)
             joint_errors_px[row, rank] = np.linalg.norm(apart_2d, axis=-1)
             twin_error_px[row, rank] = np.linalg.norm(apart_twin, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
-    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, postures)
+    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, votes)
 
 
 def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calibration:
@@ -200,3 +201,13 @@ def expected_calibration_error(confidence: NDArray[np.floating], right: NDArray[
         if (bin_of == b).any()
     ]
     return float(sum(gaps))
+
+
+def calibration_floor(confidence: NDArray[np.floating], draws: int = 20) -> float:
+    """Mean :func:`expected_calibration_error` of confidences that are the true probabilities.
+
+    Of so few answers, the shares of right ones differ from them by chance.
+    """
+    generator = np.random.default_rng(0)
+    right = generator.random((draws, *confidence.shape)) < confidence
+    return float(np.mean([expected_calibration_error(confidence, one) for one in right]))

@@ -14,9 +14,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
 from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
-from index.build.calibrate import Queries, Trial, expected_calibration_error, run_trial
+from index.build.calibrate import (
+    Queries,
+    Trial,
+    calibration_floor,
+    expected_calibration_error,
+    run_trial,
+)
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
@@ -74,7 +79,7 @@ def measure(
     some = np.arange(0, asked.upright, DEGRADED_EVERY)
     degraded_queries = queries.take(some).degraded(QUERY_SEED)
     degraded = run_trial(index, degraded_queries)
-    postures = true_postures(simulated)
+    postures, voted = true_postures(simulated), every.votes.argmax(axis=1)
     low = np.flatnonzero(posture_groups(postures)["low"])
     rankings = {
         "upright": rank(index, queries.take(some), every.take(some)),
@@ -91,7 +96,7 @@ def measure(
         "summary": {"upright": summary(upright), "degraded": summary(degraded)},
         "ranking": rankings if index.reranker else {},
         "postures": posture_figures(postures, every),
-        "posture_confusion": confusion(len(POSTURES), postures, voted_postures(every)).tolist(),
+        "posture_confusion": confusion(len(POSTURES), postures, voted).tolist(),
         "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
         "limits": limits(upright),
         "limb_threshold_px": {
@@ -107,6 +112,7 @@ def summary(trial: Trial, rows: Rows | None = None) -> Figures:
     return {
         **_errors(trial.error_px[some], trial.error_m[some]),
         "ece": expected_calibration_error(trial.confidence[some], trial.right[some]),
+        "ece_floor": calibration_floor(trial.confidence[some]),
     }
 
 
@@ -185,16 +191,6 @@ def true_postures(queries: Simulation) -> NDArray[np.int64]:
     )
 
 
-def voted_postures(trial: Trial) -> NDArray[np.int64]:
-    """Return the postures ``(Q,)`` that the hypotheses of each query vote for."""
-    voted = []
-    for postures, confidences in zip(trial.postures, trial.confidence, strict=True):
-        offered = postures >= 0
-        labels = [POSTURES[row] for row in postures[offered]]
-        voted.append(int(vote_posture(labels, confidences[offered].tolist()).argmax()))
-    return np.array(voted)
-
-
 def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
     """Return the queries of each posture, and of all upright and all low ones."""
     low = np.isin(postures, [POSTURES.index(name) for name in LOW])
@@ -205,7 +201,7 @@ def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
 
 def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
     """Return the figures of each group of postures."""
-    right = voted_postures(trial) == postures
+    right = trial.votes.argmax(axis=1) == postures
     return {
         name: {**summary(trial, rows), "posture_right": percent(right[rows])}
         for name, rows in posture_groups(postures).items()

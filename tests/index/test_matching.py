@@ -7,8 +7,16 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
+from index.facing import heading_shares
 from index.landmark_matching import match_landmarks
-from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis
+from index.matching import (
+    DEFAULT_HYPOTHESES,
+    MIN_NEW_POSE_M,
+    Match,
+    PoseHypothesis,
+    headings,
+)
+from index.modes import DISTINCT_M
 from index.silhouette_matching import match_silhouette
 from index.skeleton import (
     JOINTS,
@@ -214,6 +222,20 @@ def test_hypotheses_with_landmarks_share_the_posterior(
         assert [one.distance for one in fewer] == [one.distance for one in found[:3]]
 
 
+def test_no_hypothesis_is_likelier_right_than_its_heading(
+    toy_index: PoseIndex, new_views: list[View]
+) -> None:
+    limited = []
+    for silhouette, in_space, points in new_views[::8]:
+        found = match_landmarks(toy_index, silhouette, 14, landmarks_of(points, in_space))
+        votes = np.array([one.confidence for one in found.voters])
+        shares = heading_shares(headings(found.hypotheses), headings(found.voters), votes)
+        confidences = np.array([one.confidence for one in found.hypotheses])
+        assert (confidences <= shares + 1e-12).all()
+        limited += np.isclose(confidences, shares).tolist()
+    assert any(limited) and not all(limited)
+
+
 def test_landmarks_decide_between_left_and_right(
     toy_index: PoseIndex, new_views: list[View]
 ) -> None:
@@ -246,3 +268,33 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     # The silhouette affects only the order.
     other = match_landmarks(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
+
+
+def test_twin_of_the_first_is_the_seventh_unless_another_is_near(
+    toy_index: PoseIndex, new_views: list[View]
+) -> None:
+    """The same outline from behind: in the place of the seventh mode, and without a vote."""
+    offered = []
+    for silhouette, _, _ in new_views[::4]:
+        found = match_silhouette(toy_index, silhouette, 20)
+        first, *others = found.hypotheses[:DEFAULT_HYPOTHESES]
+        sixth, last = others[-2:]
+        turned = exchange_sides(first.points_normalised)
+        near = [
+            joint_error(one.points_normalised, turned) < RIGHT_BELOW_PX
+            for one in [first, *others[:-1]]
+        ]
+        assert last.twin != any(near)
+        assert not any(one.twin for one in [*found.voters, first, *others[:-1]])
+        assert not any(one.twin for one in found.hypotheses[DEFAULT_HYPOTHESES:])
+        offered.append(last.twin)
+        if last.twin:
+            assert_allclose(last.points_normalised, turned)
+            assert_allclose(last.points_3d, exchange_sides(first.points_3d) * [1, 1, -1])
+            assert last.distance >= sixth.distance
+            assert last.confidence != first.confidence
+            assert (last.entry_id, last.posture) == (first.entry_id, first.posture)
+            # What the twin displaces is found again in a later batch.
+            later = np.array([one.points_3d for one in found.hypotheses[6:]])
+            assert mean_joint_distance(found.voters[-1].points_3d, later).min() < DISTINCT_M
+    assert any(offered) and not all(offered)

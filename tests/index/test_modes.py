@@ -18,6 +18,7 @@ from index.modes import (
     candidate_weights,
     depth_modes,
     find_modes,
+    spread_modes,
 )
 from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
@@ -159,7 +160,7 @@ def test_rounding_does_not_choose_among_equal_densities() -> None:
 LEAN = np.array([0.15] * 6 + [0.0] * 6)
 
 
-def depths_about(seed: int, covariance: NDArray[np.float64], count: int = 5) -> DepthModes:
+def depths_about(seed: int, covariance: Points) -> DepthModes:
     """Alternatives to the depths of a pose among candidates that scatter about it."""
     rng = np.random.default_rng(seed)
     pose = some_pose(seed)
@@ -167,7 +168,7 @@ def depths_about(seed: int, covariance: NDArray[np.float64], count: int = 5) -> 
     found = candidates_of(rng.normal(size=6), rng.normal(size=(60, 6)), poses)
     landmarks = replace(landmarks_of(100 * pose[:, :2], pose), limb_covariance=covariance)
     agreement = landmarks.compare(found.points_normalised, found.points_3d)
-    return depth_modes(found, landmarks, agreement, count)
+    return depth_modes(found, landmarks, agreement, 5)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -179,6 +180,18 @@ def test_alternatives_in_depth_spread_over_what_is_uncertain(seed: int) -> None:
     assert np.diff(np.sort(along)).min() > 0.1
     assert (found.shares > 0).all() and found.shares.sum() < 1
     assert (found.misfits > along**2 / 2 - 0.05).all()
+
+
+@given(seed=st.integers(0, 999), count=st.integers(1, 5))
+def test_alternatives_move_to_the_means_of_their_cells_and_zero_stays(
+    seed: int, count: int
+) -> None:
+    truths = np.random.default_rng(seed).normal(0.1, 0.2, (30, len(LIMBS)))
+    zero, *others = spread_modes(truths, np.full(30, 1 / 30), count)
+    assert not zero.any()
+    cells = np.linalg.norm(truths[:, None] - [zero, *others], axis=-1).argmin(axis=1)
+    moved = [truths[cells == row + 1].mean(axis=0) for row in range(count)]
+    assert np.linalg.norm(np.array(moved) - others) < 0.5  # Five steps of Lloyd's algorithm.
 
 
 @pytest.mark.parametrize("seed", range(4))
