@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import posture_of, vote_posture
+from app.estimation.posture import likeliest_posture, vote_posture
 from app.estimation.results import Facing, Person, ProjectedHypothesis
 from app.vision.geometry import Box
 from index.posture import PostureName
@@ -64,5 +64,5 @@ def person_of(
     votes = vote_posture([placed.posture for placed in hypotheses], confidences)
     return Person(
         box, "detector", 0.9, None,
-        facing=Facing(0.5, "none"), posture=posture_of(votes), hypotheses=tuple(hypotheses),
+        facing=Facing(0.5, "none"), posture=likeliest_posture(votes), hypotheses=tuple(hypotheses),
     )  # fmt: skip
