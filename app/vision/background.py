@@ -12,6 +12,7 @@ from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.truncation import with_truncation
 
 _MAX_PX = 1920 * 1080  # Larger frames are reduced, since a pixel takes 60 bytes.
+_MAX_GAIN = 2.0  # Of the exposure, either way: one f-stop.
 # Grey levels that compression and vibration leave; chosen on people pasted into a street.
 _MIN_NOISE = 4.0
 
@@ -52,7 +53,9 @@ def _in_exposure(scene: NDArray[np.uint8], now: NDArray[np.uint8]) -> NDArray[np
     """
     pairs = np.column_stack([scene[::12, ::12].ravel(), now[::12, ::12].ravel()]).astype(np.float32)
     along, up, x, y = cv2.fitLine(pairs, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel().tolist()
-    levels = y + (np.arange(256) - x) * (up / along if along > 0 else 1.0)
+    # Of a scene without contrast, the line may be steep.
+    gain = float(np.clip(up / max(along, 1e-6), 1 / _MAX_GAIN, _MAX_GAIN))
+    levels = y + (np.arange(256) - x) * gain
     return np.asarray(cv2.LUT(scene, levels.clip(0, 255).round().astype(np.uint8)), np.uint8)
 
 
