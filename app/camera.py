@@ -55,14 +55,23 @@ class _Shown:
     warnings: tuple[ImageWarning, ...]
 
 
+@dataclass(frozen=True)
+class _EmptyScene:
+    """A camera that showed nobody in the frame before: that frame's shape, and its optics."""
+
+    shape: tuple[int, ...]
+    optics: Optics
+
+    def shown(self, zones: Sequence[Zone]) -> _Shown:
+        """The next frame, if it shows the same; its pixels, which nobody looks at, stay black."""
+        black = np.broadcast_to(np.zeros(1, np.uint8), self.shape)
+        camera = PinholeCamera.of_frame(self.shape, self.optics.fov_deg)
+        return _Shown(black, camera, _warnings(zones, self.shape))
+
+
 def _warnings(zones: Sequence[Zone], shape: tuple[int, ...]) -> tuple[ImageWarning, ...]:
     """Warnings about the zones of a frame."""
     return ("zone_outside",) if any(is_outside(one.polygon, shape) for one in zones) else ()
-
-
-def _black(shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A black frame that takes no memory."""
-    return np.broadcast_to(np.zeros(1, np.uint8), shape)
 
 
 class CameraSession:
@@ -88,9 +97,7 @@ class CameraSession:
         self._rectification: Rectification | None = None
         self._timestamp = -math.inf
         self._arrived = 0.0
-        # What the frame before showed, without its pixels, and its optics if it was empty.
-        self._last: _Shown | None = None
-        self._optics: Optics | None = None
+        self._empty: _EmptyScene | None = None
         # These have not been reported yet, since a frame may fail half-way.
         self._reset: str | None = None
         self._events: list[Event] = []
@@ -139,9 +146,9 @@ class CameraSession:
         job = job or Job()
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
-        if (still := self._still_frame(upload, timestamp, evidence, job)) is not None:
-            still = replace(still, warnings=_warnings(zones, still.frame.shape))
-            return self._answered(still, timestamp, arrived, (), job)
+        empty = self._still_empty(upload, timestamp, evidence, job)
+        if empty is not None:
+            return self._answered(empty.shown(zones), timestamp, arrived, (), job)
         decoded = self._estimator.decode(upload, job)
         frame, rectification = decoded.frame, decoded.rectification
         warnings = (*decoded.warnings, *_warnings(zones, decoded.sent.shape))
@@ -160,42 +167,33 @@ class CameraSession:
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
-        changed = decoded.warnings or rectification.changes
-        self._optics = None if changed or self._tracks else upload.optics
         shown = _Shown(decoded.sent, rectification.camera_sent(decoded.camera), warnings)
-        self._last = replace(shown, frame=_black(decoded.sent.shape))
+        self._empty = None
+        if not (self._tracks or decoded.warnings or rectification.changes):
+            self._empty = _EmptyScene(decoded.sent.shape, upload.optics)
         persons = tuple(_as_sent(person, rectification) for person in tracked)
         return self._answered(shown, timestamp, arrived, persons, job)
 
-    def _still_frame(
-        self,
-        upload: Upload,
-        timestamp: float,
-        evidence: Evidence,
-        job: Job,
-    ) -> _Shown | None:
-        """The frame of an upload whose file shows that the scene is as empty as before, if it does.
-
-        Its pixels, which nobody looks at, stay black.
-        """
-        data, last = upload.frame, self._last
+    def _still_empty(
+        self, upload: Upload, timestamp: float, evidence: Evidence, job: Job
+    ) -> _EmptyScene | None:
+        """The empty scene of the frame before, if the file of this one shows the same."""
+        data, empty = upload.frame, self._empty
         if (
-            last is None
-            or self._optics is None
-            or upload.optics != self._optics
+            empty is None
+            or upload.optics != empty.optics
             or upload.given != ("frame",)
             or not isinstance(data, bytes)
             or evidence != "photograph"
-            or self._tracks
             or self._reset
             or not 0 <= timestamp - self._timestamp <= _MAX_GAP_S
         ):
             return None
         with job.stage("decode"):
-            if not self._detector.shows_nothing_new(data, last.frame.shape, timestamp):
+            if not self._detector.shows_nothing_new(data, empty.shape, timestamp):
                 return None
         job.checkpoint()
-        return last
+        return empty
 
     def _answered(
         self,

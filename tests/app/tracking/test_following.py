@@ -225,6 +225,10 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
             (p.track_id, p.box) for p in other.persons
         ]
         assert one.frame.shape == other.frame.shape
+        for mine, theirs in zip(
+            vars(one.camera).values(), vars(other.camera).values(), strict=True
+        ):
+            np.testing.assert_array_equal(mine, theirs)
         assert ("truncated" in one.warnings) == (step == 18)
         assert ("zone_outside" in one.warnings) == (step > 85)
     files = sum(isinstance(upload.frame, bytes) for upload in decoded)
