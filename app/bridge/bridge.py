@@ -145,6 +145,7 @@ def _left(track_id: int, timestamp: float) -> dict[str, Any]:
         "zones": [],
         "caller_track_id": None,
         "dwell_s": None,
+        "lost": False,
     }
 
 
