@@ -35,8 +35,9 @@ from index.posture import POSTURES, PostureName, camera_up, classify_postures
 _HIPS = landmark_rows("hip")
 
 
-# With landmarks: the probability of a person from which a track counts as one.
-_MIN_PROBABILITY = 0.9
+# With landmarks: the probability of a person from which a track counts as one, and the share of
+# people among the windows that the model of this probability was trained on.
+_MIN_PROBABILITY, _PEOPLE_SHARE = 0.9, 6 / 7
 # Time over which windows are averaged: a person may take a seat that was followed while empty.
 _WINDOW_MEAN_S = 3.0
 # Without landmarks: the detector's score that is enough at once, and the number of sightings that
@@ -101,10 +102,12 @@ class Track:
     def _probability(self, shown_odds: float) -> float:
         """Probability that a person is tracked, by Bayes' rule.
 
-        The detector's highest score is the prior. The mean of the windows' odds counts as a single
+        The detector's highest score is the prior. The windows' odds include the share of people in
+        the training data, so its log odds are subtracted. Their mean counts as a single
         observation, because furniture that looks like a person does so in every frame.
         """
-        return probability_of(log_odds(self.score) + shown_odds)
+        in_training = log_odds(_PEOPLE_SHARE)
+        return probability_of(log_odds(self.score) + shown_odds - in_training)
 
     def see(self, person: Person, timestamp: float) -> None:
         """Add where the person is in this frame, and how they look."""

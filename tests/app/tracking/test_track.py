@@ -69,12 +69,12 @@ class TestBoxFilter:
         ([detected(0.5)] * 3, True),
         ([detected(None, source="background")], False),
         # Where landmarks are read, what the windows show counts as well.
-        ([detected(0.5, person=0.95)], True),
-        ([detected(0.9, person=0.3)] * 9, False),
-        ([detected(0.5, person=0.6), detected(0.95, person=0.95)], True),
+        ([detected(0.5, person=0.99)], True),
+        ([detected(0.9, person=0.7)] * 9, False),
+        ([detected(0.5, person=0.9), detected(0.95, person=0.99)], True),
         # Furniture that looks like a person looks like one in every frame.
-        ([detected(0.5, person=0.7)] * 99, False),
-        ([detected(None, person=0.3, source="boxes")], True),
+        ([detected(0.5, person=0.93)] * 99, False),
+        ([detected(None, person=0.7, source="boxes")], True),
     ],
 )
 def test_confirmed_by_the_detector_and_by_what_the_windows_show(
@@ -84,10 +84,10 @@ def test_confirmed_by_the_detector_and_by_what_the_windows_show(
 
 
 def test_a_chair_counts_as_a_person_once_somebody_has_sat_on_it_for_a_while() -> None:
-    track = track_of(*[detected(0.9, person=0.1)] * 50)
+    track = track_of(*[detected(0.9, person=0.3)] * 50)
     assert not track.is_confirmed
     for step in range(30):
-        track.see(detected(0.9, person=0.99), 5 + step / 10)
+        track.see(detected(0.9, person=0.999), 5 + step / 10)
     assert track.is_confirmed
 
 
