@@ -135,7 +135,7 @@ class Bridge:
 
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:
-    """The event of a person of whom a service that ended can report no more."""
+    """The event of a person whom a restarted service does not know any more."""
     return {
         "event": "left",
         "state": "instant",

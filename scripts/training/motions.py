@@ -209,7 +209,7 @@ class Motions:
                       held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
 
     def fall(self, generator: Generator, kind: FallKind | None = None) -> Motion | None:
-        """Somebody who falls and stays on the ground; None where they did not."""
+        """Simulate a person who falls; None if they do not stay on the ground."""
         kind = kind or FALLS[generator.integers(len(FALLS))]
         before_s = generator.uniform(3.0, 4.0)
         support: Support | None = None

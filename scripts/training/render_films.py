@@ -88,7 +88,7 @@ class Actor:
         return Mesh(vertices, person.vertices, person.triangles, self.materials[person.parts])
 
     def support(self, materials: Materials, generator: Generator) -> list[Mesh]:
-        """What carries the person who sits or lies."""
+        """The furniture on which the person sits or lies."""
         if self.motion.support is None:
             return []
         frame = min(max(self.motion.held - FIRST_FRAME, 0) * RATE // 30, len(self.path) - 1)

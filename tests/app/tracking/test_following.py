@@ -197,7 +197,7 @@ def test_an_empty_scene_that_is_not_still_is_searched_at_intervals(
 def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
     drawn: Estimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Somebody enters, leaves, and comes back; a file breaks off."""
+    """A person enters, leaves and comes back; a file breaks off."""
     decoded = []
     decode = drawn.decode
 

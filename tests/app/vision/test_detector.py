@@ -224,7 +224,7 @@ def test_the_likeliest_within_reach_of_the_expected_person_is_likelier() -> None
         {one.box: one.score for one in detector.detect(BLANK, expected, places)[0]}
         for expected in ((), [Box(50, 60, 60, 160)])
     )
-    # The first two are one person, of whom the first is kept.
+    # The first two show one person; the first is kept.
     assert list(before) == [RIGHT, LEFT]
     assert after[RIGHT] == before[RIGHT]
     assert logit_of(after[LEFT]) == pytest.approx(logit_of(before[LEFT]) + 1)

@@ -20,7 +20,7 @@ LIMIT = 1_000_000
 
 
 def figure(height: int = 90, x: int = 60, y: int = 20, shape: tuple[int, int] = (130, 150)):
-    """Coverage ``(H, W)``, 0 to 1, of the pixels of a frame by a person who stands in it."""
+    """Share ``(H, W)``, 0 to 1, of each pixel of a frame that a standing person covers."""
     fine, unit = np.zeros((4 * shape[0], 4 * shape[1]), np.uint8), 4 * height / 90
 
     def place(across: float, down: float) -> tuple[int, int]:
