@@ -398,7 +398,8 @@ class CameraSession:
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
         wanted = [person for person, _ in seen if n or person.landmarks is None]
-        fitted = iter(self._estimator.fit(wanted, upload.camera, max(n, DEFAULT_HYPOTHESES), job))
+        count = max(n, DEFAULT_HYPOTHESES)
+        fitted = iter(self._estimator.fit(wanted, upload.camera, count, job, outlines=n))
         tracked = []
         for person, track in seen:
             if n or person.landmarks is None:

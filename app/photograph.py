@@ -110,14 +110,22 @@ class Estimator:
         return decoded
 
     def fit(
-        self, people: Sequence[Person], camera: PinholeCamera, n: int, job: Job
+        self,
+        people: Sequence[Person],
+        camera: PinholeCamera,
+        n: int,
+        job: Job,
+        outlines: int | None = None,
     ) -> list[Person]:
-        """Find the ``n`` nearest distinct poses of people; none without a silhouette."""
+        """Find the ``n`` nearest distinct poses of people; none without a silhouette.
+
+        Only the first ``outlines`` of them, by default all, certainly have an outline distance.
+        """
         with job.stage("describe"):
             normalised = job.map(normalise_person, people)
         with job.stage("search"):
             pairs = zip(people, normalised, strict=True)
-            return job.map(lambda pair: fit_poses(self.index, *pair, camera, n), pairs)
+            return job.map(lambda pair: fit_poses(self.index, *pair, camera, n, outlines), pairs)
 
 
 def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:
@@ -144,8 +152,12 @@ def fit_poses(
     normalised: NormalisedPerson | None,
     camera: PinholeCamera,
     n: int,
+    outlines: int | None = None,
 ) -> Person:
-    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette."""
+    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette.
+
+    See :meth:`Estimator.fit`.
+    """
     if normalised is None:
         return person
     landmarks = normalised.normalised_landmarks()
@@ -154,7 +166,13 @@ def fit_poses(
         found = match_silhouette(index, silhouette, n, roll_deg=roll_deg)
     else:
         found = match_landmarks(
-            index, silhouette, n, landmarks, roll_deg=roll_deg, whole=normalised.whole
+            index,
+            silhouette,
+            n,
+            landmarks,
+            roll_deg=roll_deg,
+            whole=normalised.whole,
+            outlines=n if outlines is None else outlines,
         )
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses

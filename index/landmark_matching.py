@@ -61,6 +61,7 @@ def match_landmarks(
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
+    outlines: int | None = None,
 ) -> Match:
     """Find ``n`` distinct poses that fit a silhouette and landmarks.
 
@@ -74,6 +75,8 @@ def match_landmarks(
     whole : bool
         Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
         candidates.
+    outlines : int, optional
+        How many hypotheses, best first, have an outline distance; by default all.
     """
     query = _LandmarkQuery(index, silhouette, roll_deg, landmarks, whole)
     voters, alternatives = query.first_batch()
@@ -90,10 +93,12 @@ def match_landmarks(
     distances = np.array([one.distance for one in found])
     count = max(n, DEFAULT_HYPOTHESES)
     chosen = nearest_of_both_facings(azimuths, distances, front_probability, pools[:count])
-    outline_px = query.outline_distances(
-        np.array([found[row].entry_id for row in chosen]),
-        np.array([found[row].mirrored for row in chosen]),
-        np.array([found[row].rotation_deg for row in chosen]) + roll_deg,
+    outlined = [found[row] for row in chosen[:outlines]]
+    outline_px = np.full(len(chosen), np.nan)
+    outline_px[: len(outlined)] = query.outline_distances(
+        np.array([one.entry_id for one in outlined], np.int64),
+        np.array([one.mirrored for one in outlined], bool),
+        np.array([one.rotation_deg for one in outlined]) + roll_deg,
     )
     ascending = np.maximum.accumulate(distances[chosen])
     hypotheses = [
@@ -156,13 +161,14 @@ class _LandmarkQuery(Query):
         """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         candidates, _, modes = self._modes(n)
         modes, distances = self._fitted(candidates, modes)
-        return self._at_modes(candidates, modes, np.maximum(distances, at_least))
+        distances = np.maximum(distances, at_least)
+        confidence = _confidences(candidates, modes, distances)
+        return self.hypotheses(candidates, modes, distance=distances, confidence=confidence)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
         """Find the first hypotheses, and the best of them at other depths, each nearest first."""
         candidates, agreement, modes = self._modes(DEFAULT_HYPOTHESES)
         modes, distances = self._fitted(candidates, modes)
-        found = self._at_modes(candidates, modes, distances)
         # One hypothesis is as it was found, one faces the opposite way.
         depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
         others = Modes(
@@ -172,13 +178,16 @@ class _LandmarkQuery(Query):
             moved_in_depth(modes.points_3d[0], depths.offsets),
             modes.points_normalised[:1].repeat(len(depths.rows), axis=0),
         )
-        alternatives = self.hypotheses(
+        confidences = _confidences(candidates, modes, distances)
+        other_distances = distances[0] * np.exp(depths.misfits / DISTANCE_WEIGHT)
+        both = self.hypotheses(
             candidates,
-            others,
-            distance=distances[0] * np.exp(depths.misfits / DISTANCE_WEIGHT),
-            confidence=np.full(len(others), found[0].confidence),
-            weight=others.votes,
+            modes.append(others),
+            distance=np.concatenate([distances, other_distances]),
+            confidence=np.concatenate([confidences, np.full(len(others), confidences[0])]),
+            weight=np.concatenate([np.zeros(len(modes)), others.votes]),
         )
+        found, alternatives = both[: len(modes)], both[len(modes) :]
         return found, sorted(alternatives, key=lambda one: one.distance)
 
     def _fitted(self, candidates: Candidates, modes: Modes) -> tuple[Modes, NDArray[np.float64]]:
@@ -195,13 +204,6 @@ class _LandmarkQuery(Query):
             self.landmarks, modes.points_3d, modes.points_normalised
         )
         return replace(modes, points_3d=points_3d, points_normalised=placed), distances[nearest]
-
-    def _at_modes(
-        self, candidates: Candidates, modes: Modes, distances: NDArray[np.float64]
-    ) -> list[PoseHypothesis]:
-        adjusted_m = mean_joint_distance(modes.points_3d, candidates.points_3d[modes.centres])
-        confidences = fused_confidences(distances, adjusted_m)
-        return self.hypotheses(candidates, modes, distance=distances, confidence=confidences)
 
     def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes]:
         """Modes of candidates near the silhouette and the landmarks, weighted by agreement.
@@ -246,6 +248,14 @@ class _LandmarkQuery(Query):
         kept = np.argsort(-likely_weights(distances, agreement), kind="stable")[:count]
         kept.sort()  # Back in ascending distance.
         return candidates.take(kept), agreement.take(kept)
+
+
+def _confidences(
+    candidates: Candidates, modes: Modes, distances: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Confidences ``(M,)`` of modes fitted to landmarks, at their distances."""
+    adjusted_m = mean_joint_distance(modes.points_3d, candidates.points_3d[modes.centres])
+    return fused_confidences(distances, adjusted_m)
 
 
 # Landmarks whose trunk is tilted by less are searched only as they are.

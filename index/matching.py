@@ -84,7 +84,7 @@ class PoseHypothesis:
         :data:`DEFAULT_HYPOTHESES`; 0 for later ones, None without landmarks.
     outline_distance_px : float
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
-        pixels of the normalised frame; not a number of those that only vote.
+        pixels of the normalised frame; not a number where it is not asked for.
     twin : bool
         Whether this is the first hypothesis from behind: depth reversed, left and right exchanged.
         Its outline is the same; all that is said of the entry holds for the first hypothesis.

@@ -12,6 +12,8 @@ from app.vision.geometry import Box, crop, shrink_quickly
 from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
+# Every second row and column of a person twice as large shows the same colours, and so on.
+_COLOURS_PX = 200
 
 
 def colours_of(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
@@ -21,8 +23,11 @@ def colours_of(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.f
     """
     rows, columns = silhouette.crop.shape
     left, top = silhouette.left, silhouette.top
-    crop = cv2.cvtColor(frame[top : top + rows, left : left + columns], cv2.COLOR_BGR2HSV)
-    mask = silhouette.crop.view(np.uint8)
+    step = max(1, max(rows, columns) // _COLOURS_PX)
+    part = frame[top : top + rows : step, left : left + columns : step]
+    crop = cv2.cvtColor(part, cv2.COLOR_BGR2HSV)
+    mask = silhouette.crop[::step, ::step].astype(np.uint8)
+    rows = len(mask)
     parts = []
     for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
         pixels, inside = crop[half], mask[half]

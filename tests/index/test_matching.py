@@ -218,8 +218,10 @@ def test_hypotheses_with_landmarks_share_the_posterior(
                 toy_index.entry(one.entry_id, mirrored=one.mirrored).points_3d, one.rotation_deg
             )
             assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
-        fewer = match_landmarks(toy_index, silhouette, 3, landmarks).hypotheses[:3]
+        fewer = match_landmarks(toy_index, silhouette, 3, landmarks, outlines=2).hypotheses[:3]
         assert [one.distance for one in fewer] == [one.distance for one in found[:3]]
+        outlines_px = [one.outline_distance_px for one in found[:2]]
+        assert_allclose([one.outline_distance_px for one in fewer], [*outlines_px, np.nan])
 
 
 def test_no_hypothesis_is_likelier_right_than_its_heading(
