@@ -213,7 +213,8 @@ def without_bodies(
         theirs = distances(other.landmarks.positions[COCO_LANDMARKS], seen)
         hidden |= (theirs <= own) & (theirs <= _FLESH * scale * other.body_px)
     shown = part.shape[1::-1]
-    part[cv2.resize(hidden.view(np.uint8), shown, interpolation=cv2.INTER_NEAREST) > 0] = 127
+    enlarged = cv2.resize(hidden.view(np.uint8), shown, interpolation=cv2.INTER_NEAREST)
+    cv2.copyTo(np.full_like(part, 127), enlarged, part)
     return result
 
 
