@@ -12,15 +12,27 @@ SHARED = ROOT.parent / "shared"
 RESULTS = ROOT / "docs" / "results"
 
 
+_INSTRUCTIONS = {
+    "avx2": "AVX2",
+    "avx512f": "AVX512",
+    "avx512_vnni": "VNNI",
+    "avx_vnni": "VNNI",
+    "avx512_bf16": "BF16",
+    "amx_tile": "AMX",
+}
+"""Flags in /proc/cpuinfo on which the time of a network depends."""
+
+
 def machine() -> str:
     """Describe this machine in a line."""
-    model = platform.processor() or platform.machine()
-    for line in Path("/proc/cpuinfo").read_text().splitlines():
-        if line.startswith("model name"):
-            model = line.split(":", 1)[1].strip()
-            break
+    lines = (line.split(":", 1) for line in Path("/proc/cpuinfo").read_text().splitlines())
+    known = {line[0].strip(): line[1].strip() for line in lines if len(line) == 2}
+    model = known.get("model name") or platform.processor() or platform.machine()
+    flags = set(known.get("flags", "").split())
+    sets = dict.fromkeys(name for flag, name in _INSTRUCTIONS.items() if flag in flags)
     cores = len(list(Path("/sys/devices/system/cpu").glob("cpu[0-9]*")))
-    return f"{model}, {cores} cores, Python {platform.python_version()}"
+    parts = [f"{model} with {', '.join(sets)}" if sets else model, f"{cores} cores"]
+    return f"{'; '.join(parts)}; Python {platform.python_version()}"
 
 
 def revision() -> str:

@@ -71,8 +71,8 @@ class ServerProcess:
 
     def processor_s(self) -> float:
         """Return the processor time spent so far by all threads, seconds."""
-        ticks = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        return sum(map(int, ticks[11:13])) / os.sysconf("SC_CLK_TCK")
+        # The clock of a process, as `clock_getcpuclockid` makes it of the number of the process.
+        return time.clock_gettime(~self._process.pid << 3 | 2)
 
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
