@@ -403,7 +403,7 @@ class CameraSession:
         tracked = []
         for person, track in seen:
             if n or person.landmarks is None:
-                person = next(fitted)
+                person = next(fitted) or person
             result, events = track.update(
                 person,
                 timestamp,

@@ -22,6 +22,7 @@ from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
 from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box
+from app.vision.images import ImageWarning
 from app.vision.judgement import load_photograph_models
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
@@ -81,6 +82,9 @@ class Estimator:
     ) -> Estimate:
         """Find the ``n`` nearest distinct poses of every person; the job is checked between steps.
 
+        Of people whom the service finds, those with the highest scores come first. As the job's
+        deadline comes near, the others are left out, with the warning ``crowded``.
+
         The evidence ``photograph`` is silhouettes and the landmarks in the photograph,
         ``silhouette`` silhouettes alone, as in the paper. ``shown`` is whether the frame is needed
         after that, to draw on it.
@@ -92,9 +96,11 @@ class Estimator:
         """
         job = job or Job()
         unseen = upload.mask is not None and evidence == "silhouette" and not shown
+        job.some_suffice = upload.mask is None and upload.boxes is None
         decoded = self.decode(upload, job, blank=unseen)
         people = self.finder.find(decoded, evidence, job)
-        return _answer(decoded, self.fit(people, decoded.camera, n, job), job)
+        fitted = self.fit(people, decoded.camera, n, job)
+        return _answer(decoded, [person for person in fitted if person is not None], job)
 
     def find_people(self, upload: Upload, job: Job, evidence: Evidence = "photograph") -> Estimate:
         """Find the people of a frame without their poses; raises like :meth:`estimate`."""
@@ -116,24 +122,33 @@ class Estimator:
         n: int,
         job: Job,
         outlines: int | None = None,
-    ) -> list[Person]:
+    ) -> list[Person | None]:
         """Find the ``n`` nearest distinct poses of people; none without a silhouette.
 
         Only the first ``outlines`` of them, by default all, certainly have an outline distance.
+        None stands for people left out.
         """
         with job.stage("describe"):
             normalised = job.map(normalise_person, people)
+
+        def fitted(pair: tuple[Person, NormalisedPerson | None]) -> Person:
+            return fit_poses(self.index, *pair, camera, n, outlines)
+
         with job.stage("search"):
-            pairs = zip(people, normalised, strict=True)
-            return job.map(lambda pair: fit_poses(self.index, *pair, camera, n, outlines), pairs)
+            return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
+
+
+# Share of a job's time in which poses are found: the answer has to be written as well.
+_FIT_UNTIL = 0.9
 
 
 def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:
     from_left = sorted(people, key=lambda person: person.box.x)
+    crowded: tuple[ImageWarning, ...] = ("crowded",) if job.left_out else ()
     return Estimate(
         frame=decoded.sent,
         camera=decoded.rectification.camera_sent(decoded.camera),
-        warnings=decoded.warnings,
+        warnings=tuple(sorted((*decoded.warnings, *crowded))),
         persons=tuple(job.map(lambda one: one.as_sent(decoded.rectification), from_left)),
         timings_ms=job.timings_ms(),
     )

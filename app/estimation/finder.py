@@ -83,6 +83,8 @@ _MARKED: tuple[Source, ...] = ("boxes", "mask")
 # Share of those perhaps beside others who are people if a reading beside these shows a body, in
 # rendered groups.
 _READ_BESIDE_SCORE = 0.8
+# Share of a job's time in which people are read: masks and poses of these take as long again.
+_READ_UNTIL = 0.4
 # Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
 # and toes.
 _BODY_MARGIN = 0.1
@@ -141,9 +143,14 @@ class PeopleFinder:
             return "detector", *self.search(frame, job), cut
         smallest = smallest_person_px(frame.shape, self.min_person_px)
         with job.stage("detect"):
-            found = upright_regions(changed, smallest)[: self.max_persons]
+            found = self._most(upright_regions(changed, smallest), job)
         job.checkpoint()
         return "background", found, [], cut
+
+    def _most(self, found: list[Detection], job: Job) -> list[Detection]:
+        """Those with the highest scores; the job counts the others."""
+        job.left_out += max(0, len(found) - self.max_persons)
+        return found[: self.max_persons]
 
     def search(
         self,
@@ -160,14 +167,14 @@ class PeopleFinder:
         with job.stage("detect"):
             people, beside = self.models.detector.detect(frame, lost, known)
         job.checkpoint()
-        return people[: self.max_persons], beside[: max(0, self.max_persons - len(people))]
+        return self._most(people, job), beside[: max(0, self.max_persons - len(people))]
 
     def read(
         self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
     ) -> list[PoseReading | None]:
         """Read landmarks of people, without their masks.
 
-        None stands where a track's window shows nobody any more.
+        None stands where a track's window shows nobody any more, and for those left out.
         """
         reader = self.models.reader
 
@@ -180,7 +187,7 @@ class PeopleFinder:
             return reader.read(frame, found.box, found.keypoints, found.windows, expected)
 
         with job.stage("keypoints"):
-            return job.map(read, targets)
+            return job.map_until(_READ_UNTIL, read, targets)
 
     def observe(
         self,
@@ -278,7 +285,7 @@ class PeopleFinder:
         found = []
         for target in hidden:
             one = target.found
-            if one.keypoints is None:
+            if one.keypoints is None or job.is_late(_READ_UNTIL):
                 continue
             with job.stage("keypoints"):
                 reading = self.models.reader.read_beside(frame, one.box, one.keypoints, known)

@@ -66,7 +66,12 @@ class Job:
 
     def __init__(self, timeout_s: float = math.inf, parallel_map: ParallelMap = serial_map) -> None:
         self.stage_ms = dict.fromkeys(STAGES, 0.0)
+        self.some_suffice = False
+        """Whether an answer about some of the people is better than none."""
+        self.left_out = 0
+        """People who are seen but will not be in the answer."""
         self._started = time.perf_counter()
+        self._timeout_s = timeout_s
         self._deadline = time.monotonic() + timeout_s
         self._cancelled = threading.Event()
         self._parallel_map = parallel_map
@@ -93,6 +98,28 @@ class Job:
             return function(item)
 
         return self._parallel_map(checked, items)
+
+    def map_until(
+        self, share: float, function: Callable[[Item], Result], items: Iterable[Item]
+    ) -> list[Result | None]:
+        """The same for people, the best first, none of whom begins after a share of the time.
+
+        None stands for those left out; the first never is. Unless some suffice, none are.
+        """
+
+        def in_time(numbered: tuple[int, Item]) -> Result | None:
+            number, item = numbered
+            if number and self.is_late(share):
+                self.left_out += 1
+                return None
+            return function(item)
+
+        return self.map(in_time, enumerate(items))
+
+    def is_late(self, share: float) -> bool:
+        """Whether some people suffice, and this share of the time is over."""
+        left_s = self._deadline - time.monotonic()
+        return self.some_suffice and left_s < (1 - share) * self._timeout_s
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

@@ -1,5 +1,6 @@
 """The estimator, with real networks on a real photograph."""
 
+from copy import copy
 from dataclasses import replace
 from itertools import product
 from typing import Any
@@ -24,7 +25,7 @@ from index.landmark_matching import match_landmarks
 from index.matching import Match
 from index.posture import LOW
 from tests.conftest import WALKERS, Photo, png
-from tests.support.jobs import ShortJob
+from tests.support.jobs import LateJob, ShortJob
 from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
@@ -244,6 +245,36 @@ def test_cancelled_job_stops(estimator: Estimator, photo: Photo) -> None:
     for steps in range(4):
         with pytest.raises(DeadlineError):
             estimator.estimate(Upload(photo.frame_png, mask=photo.mask_png), 1, ShortJob(steps))
+
+
+def test_people_beyond_the_deadline_are_left_out_with_a_warning(
+    estimator: Estimator, street: NDArray[np.uint8]
+) -> None:
+    """Those with the highest scores stay, unless the caller says who the people are."""
+    upload = Upload(png(street))
+    everyone = estimator.estimate(upload, 1, LateJob(1000))
+    assert everyone.warnings == ()
+    scores = sorted((one.detection_score or 0 for one in everyone.persons), reverse=True)
+    for in_time in range(len(scores)):
+        some = estimator.estimate(upload, 1, LateJob(in_time))
+        assert 1 <= len(some.persons) < len(scores)
+        assert some.warnings == ("crowded",)
+        kept = sorted((one.detection_score or 0 for one in some.persons), reverse=True)
+        assert kept == scores[: len(kept)]
+        assert all(one.hypotheses for one in some.persons)
+    marked = Upload(png(street), boxes=tuple(one.box for one in everyone.persons))
+    answer = estimator.estimate(marked, 1, LateJob(0))
+    assert (len(answer.persons), answer.warnings) == (len(scores), ())
+
+
+def test_too_many_people_are_left_out_with_a_warning(
+    estimator: Estimator, street: NDArray[np.uint8]
+) -> None:
+    finder = replace(estimator.finder, max_persons=1)
+    few = copy(estimator)
+    few.finder = finder
+    answer = few.estimate(Upload(png(street)), 1)
+    assert (len(answer.persons), answer.warnings) == (1, ("crowded",))
 
 
 def flags(estimator: Estimator, frame: NDArray[np.uint8], box: Box) -> tuple[bool, bool]:
