@@ -47,7 +47,7 @@ COMMANDS = {
     "overload": ("scripts.load.overload", "offer a server ten times the load it carries"),
     "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),
     "fuzz": ("scripts.load.fuzz", "upload damaged and odd images"),
-    "cameras": ("scripts.load.cameras", "find how many cameras a server carries"),
+    "cameras": ("scripts.load.cameras", "play the cameras of a house to a server"),
     "mutants": ("scripts.mutants", "break the code a line at a time; print what no test notices"),
     "debug-frame": ("scripts.debug_frame", "draw every step of one photograph"),
     "openapi": ("scripts.openapi", "write openapi.json"),

@@ -31,8 +31,13 @@ from tests.golden import pictures
 
 class WithoutPoses(Estimator):
     def fit(
-        self, people: Sequence[Person], camera: PinholeCamera, n: int, job: Job
-    ) -> list[Person]:
+        self,
+        people: Sequence[Person],
+        camera: PinholeCamera,
+        n: int,
+        job: Job,
+        outlines: int | None = None,
+    ) -> list[Person | None]:
         return list(people)
 
 
