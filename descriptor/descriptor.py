@@ -89,27 +89,17 @@ class DiagonalDescriptor:
 
 @dataclass(frozen=True)
 class DiscriminantDescriptor:
-    """A linear projection, learned from simulation, of a block of Krawtchouk moments.
+    """A linear projection, learned from simulation, of a block of Krawtchouk moments."""
 
-    Parameters
-    ----------
-    projection : (D, F) float32 array
-        Projection of ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D`` values.
-        Each row uses either even or odd horizontal orders, so that mirroring a silhouette only
-        flips signs.
-    vertical_orders, horizontal_orders : int
-        Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
-    p1 : float
-        Horizontal centre of the polynomials.
-    p2 : tuple of float
-        Vertical centres; each has its own block of moments.
-    """
-
+    # (D, F): projection of ``F = len(p2) * vertical_orders * horizontal_orders`` moments to ``D``
+    # values. Each row uses either even or odd horizontal orders, so that mirroring a silhouette
+    # only flips signs.
     projection: NDArray[np.float32]
+    # Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
     vertical_orders: int = 28
     horizontal_orders: int = 14
-    p1: float = 0.5
-    p2: tuple[float, ...] = (0.5,)
+    p1: float = 0.5  # horizontal centre of the polynomials
+    p2: tuple[float, ...] = (0.5,)  # vertical centres; each has its own block of moments
     name: str = field(default="krawtchouk-discriminant", init=False)
     parity: NDArray[np.float32] = field(init=False, repr=False, compare=False)
 

@@ -29,16 +29,10 @@ class Placement:
 
     ``normalised = scale * image + offset``, in pixels on both sides, each with its
     origin at the centre of the top-left pixel.
-
-    Parameters
-    ----------
-    scale : float
-        Normalised pixels per image pixel; positive.
-    offset_x, offset_y : float
-        Shift in normalised pixels.
     """
 
-    scale: float
+    scale: float  # normalised pixels per image pixel; positive
+    # Shift in normalised pixels.
     offset_x: float
     offset_y: float
 

@@ -22,20 +22,11 @@ from index.store import PoseIndex
 
 @dataclass(frozen=True)
 class RotatedQuery:
-    """A query silhouette with an assumed in-plane rotation of the person undone.
+    """A query silhouette with an assumed in-plane rotation of the person undone."""
 
-    Parameters
-    ----------
-    rotation_deg : float
-        Assumed rotation of the person, clockwise in the frame of the silhouette.
-    silhouette : (128, 48) uint8 array
-        The silhouette with that rotation undone, normalised.
-    to_query : (2, 3) float64 array
-        Affine transform from pixels of ``silhouette`` to pixels of the query.
-    """
-
-    rotation_deg: float
-    silhouette: NDArray[np.uint8]
+    rotation_deg: float  # assumed rotation of the person, clockwise in the frame of the silhouette
+    silhouette: NDArray[np.uint8]  # (128, 48): the silhouette with that rotation undone, normalised
+    # (2, 3): affine transform from pixels of ``silhouette`` to pixels of the query.
     to_query: NDArray[np.float64]
 
     @classmethod
@@ -100,34 +91,19 @@ def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) ->
 
 @dataclass(frozen=True)
 class Candidates:
-    """Entries near a query, nearest first; each is used as it is or mirrored.
+    """Entries near a query, nearest first; each is used as it is or mirrored."""
 
-    Parameters
-    ----------
-    entry_ids : (K,) int64 array
-        Rows of the index.
-    mirrored : (K,) bool array
-        Whether the candidate is the mirror image of the entry; all other fields then describe the
-        mirror image.
-    distances : (K,) float64 array
-        Euclidean distances between descriptors, ascending.
-    offsets : (K, D) float32 array
-        Descriptors of the candidates minus the descriptor of the query.
-    rotation_deg : (K,) float64 array
-        Clockwise rotation in the picture that was applied to the points.
-    points_3d : (K, 24, 3) float64 array
-        Camera axes, metres, pelvis at the origin.
-    points_normalised : (K, 24, 2) float64 array
-        Pixels of the normalised frame.
-    """
-
-    entry_ids: NDArray[np.int64]
+    entry_ids: NDArray[np.int64]  # (K,): rows of the index
+    # (K,): whether the candidate is the mirror image of the entry; all other fields then describe
+    # the mirror image.
     mirrored: NDArray[np.bool_]
-    distances: NDArray[np.float64]
+    distances: NDArray[np.float64]  # (K,): Euclidean distances between descriptors, ascending
+    # (K, D): descriptors of the candidates minus the descriptor of the query.
     offsets: NDArray[np.float32]
+    # (K,): clockwise rotation in the picture that was applied to the points.
     rotation_deg: NDArray[np.float64]
-    points_3d: NDArray[np.float64]
-    points_normalised: NDArray[np.float64]
+    points_3d: NDArray[np.float64]  # (K, 24, 3): camera axes, metres, pelvis at the origin
+    points_normalised: NDArray[np.float64]  # (K, 24, 2): pixels of the normalised frame
 
     def __len__(self) -> int:
         return len(self.entry_ids)

@@ -64,18 +64,11 @@ RIGHT_BELOW_PX = 5.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """Logistic model of the probability that a hypothesis is right.
+    """Logistic model of the probability that a hypothesis is right."""
 
-    Parameters
-    ----------
-    weights : tuple of float
-        Weight of each feature.
-    features : tuple of str
-        Names of the features, as a guard against a calibration for other features.
-    """
-
-    weights: tuple[float, ...]
+    weights: tuple[float, ...]  # weight of each feature
     bias: float
+    # Names of the features, as a guard against a calibration for other features.
     features: tuple[str, ...] = FEATURES
 
     def __post_init__(self) -> None:

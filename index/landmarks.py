@@ -46,33 +46,18 @@ SIZE_RANGE = (0.8, 1.25)
 
 @dataclass(frozen=True)
 class NormalisedLandmarks:
-    """Landmarks of a person in the normalised frame, and the limbs in three dimensions.
+    """Landmarks of a person in the normalised frame, and the limbs in three dimensions."""
 
-    Parameters
-    ----------
-    rows : tuple of int
-        Rows of ``POINT_NAMES``.
-    positions : (P, 2) float64 array
-        Pixels of the normalised frame.
-    scores : (P,) float64 array
-        Confidence of each, above 0 and at most 1.
-    limbs_3d : (12, 3) float64 array
-        Metres about the middle of the hips, axes of the normalised frame; rows are ``LIMBS``.
-    limb_scores : (12,) float64 array
-        Confidence of each limb joint, from 0 to 1.
-    limb_covariance : (12, 12) float64 array
-        Covariance of the errors of the limbs' depths, square metres.
-    sigma_px : float
-        Standard deviation of a point about its landmark in the picture.
-    """
-
-    rows: tuple[int, ...]
-    positions: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    rows: tuple[int, ...]  # rows of ``POINT_NAMES``
+    positions: NDArray[np.float64]  # (P, 2): pixels of the normalised frame
+    scores: NDArray[np.float64]  # (P,): confidence of each, above 0 and at most 1
+    # (12, 3): metres about the middle of the hips, axes of the normalised frame; rows are
+    # ``LIMBS``.
     limbs_3d: NDArray[np.float64]
-    limb_scores: NDArray[np.float64]
+    limb_scores: NDArray[np.float64]  # (12,): confidence of each limb joint, from 0 to 1
+    # (12, 12): covariance of the errors of the limbs' depths, square metres.
     limb_covariance: NDArray[np.float64]
-    sigma_px: float = _SIGMA_PX
+    sigma_px: float = _SIGMA_PX  # standard deviation of a point about its landmark in the picture
 
     def __post_init__(self) -> None:
         count, limbs = len(self.rows), len(LIMBS)
@@ -147,23 +132,16 @@ class NormalisedLandmarks:
 
 @dataclass(frozen=True)
 class Agreement:
-    """How skeletons agree with landmarks.
+    """How skeletons agree with landmarks."""
 
-    Parameters
-    ----------
-    log_likelihood : (K,) float64 array
-        Log likelihood of the landmarks, given each skeleton or its twin with left and right
-        exchanged, whichever is likelier; at most 0.
-    side_log_odds : (K,) float64 array
-        Log odds of the skeleton against that twin. They are separate because landmarks show more
-        reliably where a joint is than whether it is the left or the right one.
-    residuals : (K, P, 2) float64 array
-        Offset from each point of the likelier of the two to its landmark, in pixels of the
-        normalised frame, scaled down by the probability that the landmark is an outlier.
-    """
-
+    # (K,): log likelihood of the landmarks, given each skeleton or its twin with left and right
+    # exchanged, whichever is likelier; at most 0.
     log_likelihood: NDArray[np.float64]
+    # (K,): log odds of the skeleton against that twin. They are separate because landmarks show
+    # more reliably where a joint is than whether it is the left or the right one.
     side_log_odds: NDArray[np.float64]
+    # (K, P, 2): offset from each point of the likelier of the two to its landmark, in pixels of the
+    # normalised frame, scaled down by the probability that the landmark is an outlier.
     residuals: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer]) -> Agreement:

@@ -197,17 +197,13 @@ class Distributions:
 
 @dataclass(frozen=True)
 class Layer:
-    """A linear layer on quantised values.
+    """A linear layer on quantised values."""
 
-    Parameters
-    ----------
-    weights : (F, D) float32 array
-        Whole numbers from -127 to 127; rows of a convolution are ordered by row, column, channel.
-    factors, offsets : (D,) float32 array
-        Applied to the sums, so that outputs are in units of the next layer's quantisation steps.
-    """
-
+    # (F, D): whole numbers from -127 to 127; rows of a convolution are ordered by row, column,
+    # channel.
     weights: Array
+    # (D,): applied to the sums, so that outputs are in units of the next layer's quantisation
+    # steps.
     factors: Array
     offsets: Array
 
@@ -247,14 +243,9 @@ def quantised_relu(values: Array) -> Array:
 
 @dataclass(frozen=True)
 class JointNetwork:
-    """The network; immutable and therefore thread-safe.
+    """The network; immutable and therefore thread-safe."""
 
-    Parameters
-    ----------
-    layers : tuple of Layer
-        The :data:`CONVOLUTIONS`, the hidden layer, and the logits ``(2584,)``.
-    """
-
+    # The :data:`CONVOLUTIONS`, the hidden layer, and the logits ``(2584,)``.
     layers: tuple[Layer, ...]
 
     def __post_init__(self) -> None:
@@ -346,33 +337,20 @@ def _windows(values: Array, size: int, stride: int) -> Array:
 
 @dataclass(frozen=True)
 class RankingModel:
-    """The network and the confidence that was fitted with it.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Over :data:`index.confidence.RERANKING_FEATURES`.
-    training : dict
-        JSON values that describe the training data.
-    order_weight : float
-        Weight of the joints' log-likelihood relative to the logarithm of the distance, in the order
-        of hypotheses.
-    support_weight : float
-        The same for the candidates from which hypotheses are made.
-    spread : (float, float, float)
-        Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
-        metres; with zeros, joints do not move.
-    """
+    """The network and the confidence that was fitted with it."""
 
     network: JointNetwork
-    calibration: Calibration
+    calibration: Calibration  # over :data:`index.confidence.RERANKING_FEATURES`
+    # JSON values that describe the training data.
     training: dict[str, Any] = field(default_factory=dict)
-    # Both weights were chosen on clips and bodies that neither the network nor the experiment on
-    # simulated silhouettes has.
+    # Weight of the joints' log-likelihood relative to the logarithm of the distance, in the order
+    # of hypotheses. Both weights were chosen on clips and bodies that neither the network nor the
+    # experiment on simulated silhouettes has.
     order_weight: float = 3.0
-    support_weight: float = 1.0
-    # Chosen on every second clip of the experiment on simulated silhouettes; 2 to 4 pixels do
-    # equally well.
+    support_weight: float = 1.0  # the same for the candidates from which hypotheses are made
+    # Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
+    # metres; with zeros, joints do not move. Chosen on every second clip of the experiment on
+    # simulated silhouettes; 2 to 4 pixels do equally well.
     spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
 
     def __post_init__(self) -> None:

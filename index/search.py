@@ -178,23 +178,14 @@ _OTHER_SIDE = rows(*(other_side(name) for name in LIMBS), among=LIMBS)
 
 @dataclass(frozen=True)
 class NearestEntries:
-    """Entries nearest to landmarks, nearest first.
+    """Entries nearest to landmarks, nearest first."""
 
-    Parameters
-    ----------
-    entry_ids : (K,) int64 array
-    mirrored : (K,) bool array
-        Whether the mirror image of the entry was found.
-    roll_deg : (K,) float64 array
-        Clockwise rotation in the picture of the entry found, as seen by a camera that is not
-        rolled.
-    distances : (K,) float64 array
-        Root mean square joint distance, as a share of the size of a body, ascending.
-    """
-
-    entry_ids: NDArray[np.int64]
-    mirrored: NDArray[np.bool_]
+    entry_ids: NDArray[np.int64]  # (K,)
+    mirrored: NDArray[np.bool_]  # (K,): whether the mirror image of the entry was found
+    # (K,): clockwise rotation in the picture of the entry found, as seen by a camera that is not
+    # rolled.
     roll_deg: NDArray[np.float64]
+    # (K,): root mean square joint distance, as a share of the size of a body, ascending.
     distances: NDArray[np.float64]
 
 

@@ -22,22 +22,12 @@ class Silhouettes:
     """Normalised silhouettes, deflated separately with a shared dictionary.
 
     They take a sixth of their packed size; decompressing one takes microseconds.
-
-    Parameters
-    ----------
-    data : (B,) uint8 array
-        The deflated silhouettes, concatenated.
-    ends : (E,) int64 array
-        End of each silhouette in ``data``; ascending, the last is B.
-    dictionary : (D,) uint8 array
-    step : int
-        Pixels of the normalised frame for each stored pixel, along both axes: 1 or 2.
     """
 
-    data: NDArray[np.uint8]
-    ends: NDArray[np.int64]
-    dictionary: NDArray[np.uint8]
-    step: int = 1
+    data: NDArray[np.uint8]  # (B,): the deflated silhouettes, concatenated
+    ends: NDArray[np.int64]  # (E,): end of each silhouette in ``data``; ascending, the last is B
+    dictionary: NDArray[np.uint8]  # (D,)
+    step: int = 1  # pixels of the normalised frame for each stored pixel, along both axes: 1 or 2
 
     def __post_init__(self) -> None:
         if self.step not in (1, 2):

@@ -83,46 +83,28 @@ class Entry(Label):
 
 @dataclass(frozen=True)
 class PoseIndex:
-    """Simulated silhouettes with their skeletons, searchable by descriptor.
-
-    Parameters
-    ----------
-    descriptor : Descriptor
-        The descriptor of the vectors, and of queries.
-    vectors : ExactNeighbours
-        The descriptors of the entries.
-    entries : (E,) array of ENTRY_DTYPE
-        Skeleton, camera, and placement in the normalised frame. The camera of an entry wider than
-        high is rolled so that the silhouette stands upright.
-    skeletons : (S, 24, 3) float16 array
-        Body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
-    skeleton_labels : (S,) array of SKELETON_DTYPE
-        Source of each skeleton; clip, subject and action are positions in the tuples below.
-    silhouette_store : Silhouettes
-        Compressed silhouettes of the entries.
-    parameters : dict
-        JSON values: the settings of the build and what it fitted.
-    version : str
-        ``sha256:`` and the hash of the content; empty unless the index was loaded from files.
-    reranker : RankingModel, optional
-        The network that ranks the hypotheses of silhouettes.
-    searched_by : Neighbours, optional
-        Search over ``vectors``; by default exact, in this process.
-    """
+    """Simulated silhouettes with their skeletons, searchable by descriptor."""
 
     name: str
-    descriptor: Descriptor
-    vectors: ExactNeighbours
+    descriptor: Descriptor  # the descriptor of the vectors, and of queries
+    vectors: ExactNeighbours  # the descriptors of the entries
+    # (E,): skeleton, camera, and placement in the normalised frame. The camera of an entry wider
+    # than high is rolled so that the silhouette stands upright.
     entries: NDArray[np.void]
+    # (S, 24, 3): body axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     skeletons: NDArray[np.float16]
+    # (S,): source of each skeleton; clip, subject and action are positions in the tuples below.
     skeleton_labels: NDArray[np.void]
     clips: tuple[str, ...]
     subjects: tuple[str, ...]
     actions: tuple[str, ...]
-    silhouette_store: Silhouettes
+    silhouette_store: Silhouettes  # compressed silhouettes of the entries
+    # JSON values: the settings of the build and what it fitted.
     parameters: dict[str, Any] = field(default_factory=dict)
+    # ``sha256:`` and the hash of the content; empty unless the index was loaded from files.
     version: str = ""
-    reranker: RankingModel | None = None
+    reranker: RankingModel | None = None  # the network that ranks the hypotheses of silhouettes
+    # Search over ``vectors``; by default exact, in this process.
     searched_by: InitVar[Neighbours | None] = None
     neighbours: Neighbours = field(init=False, repr=False, compare=False)
     """Search over ``vectors``."""

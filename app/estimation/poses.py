@@ -44,24 +44,15 @@ _MIN_FEET_VISIBILITY, _MIN_HEAD_VISIBILITY = 0.35, 0.2
 
 @dataclass(frozen=True)
 class NormalisedPerson:
-    """A person's normalised silhouette and landmarks; wide silhouettes are rotated upright.
+    """A person's normalised silhouette and landmarks; wide silhouettes are rotated upright."""
 
-    Parameters
-    ----------
-    silhouette : (128, 48) uint8 array
-    roll_deg : float
-        Clockwise rotation of the silhouette, as if the camera had been rolled; 0 unless the
-        silhouette is wide.
-    to_frame : (2, 3) float64 array
-        Affine transform from pixels of ``silhouette`` to pixels of the frame.
-    landmarks : Landmarks or None
-        Landmarks in pixels of the frame; None if they were not read.
-    """
-
-    silhouette: NDArray[np.uint8]
+    silhouette: NDArray[np.uint8]  # (128, 48)
+    # Clockwise rotation of the silhouette, as if the camera had been rolled; 0 unless the
+    # silhouette is wide.
     roll_deg: float
+    # (2, 3): affine transform from pixels of ``silhouette`` to pixels of the frame.
     to_frame: NDArray[np.float64]
-    landmarks: Landmarks | None
+    landmarks: Landmarks | None  # in pixels of the frame; None if they were not read
 
     @classmethod
     def of(cls, silhouette: Silhouette, landmarks: Landmarks | None) -> NormalisedPerson:

@@ -99,23 +99,13 @@ _EVERYDAY_LOG_ODDS = math.log(10)
 
 @dataclass(frozen=True)
 class ActionModel:
-    """Linear discriminants of motions, and the weight of the hypotheses' labels beside them.
+    """Linear discriminants of motions, and the weight of the hypotheses' labels beside them."""
 
-    Parameters
-    ----------
-    actions : tuple of str
-        Labels of the index.
-    weights : (A, D) float64 array
-    offsets : (A,) float64 array
-        Log odds of the actions are ``weights @ features + offsets``.
-    vote_weight : float
-        Weight of the log of the hypotheses' votes.
-    """
-
-    actions: tuple[str, ...]
-    weights: NDArray[np.float64]
+    actions: tuple[str, ...]  # labels of the index
+    weights: NDArray[np.float64]  # (A, D)
+    # (A,): log odds of the actions are ``weights @ features + offsets``.
     offsets: NDArray[np.float64]
-    vote_weight: float
+    vote_weight: float  # weight of the log of the hypotheses' votes
 
     def __post_init__(self) -> None:
         if self.weights.ndim != 2 or not (

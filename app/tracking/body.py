@@ -45,33 +45,17 @@ _FULL_WEIGHT_PX = LANDMARK_PX
 
 @dataclass(frozen=True)
 class SeenBody:
-    """What one frame shows of a body, by N skeletons of which one is right.
+    """What one frame shows of a body, by N skeletons of which one is right."""
 
-    Parameters
-    ----------
-    azimuths_deg : (N,) float64 array
-        Azimuths of the camera about them.
-    log_likelihoods : (N,) float64 array
-        Up to a constant, for frames a tenth of a second apart.
-    clarity : float
-        How clearly landmarks show the body, 0 to 1; 0 if none were read.
-    px_per_m : float
-        Scale at the person's distance.
-    elevation_deg : float
-        Elevation of the camera above the person.
-    hips_px : (2,) float64 array
-        Middle of the hips, pixels of the frame.
-    skeleton : (24, 3) float64 array, optional
-        That of the landmarks: metres about the hips, axes of the line of sight to them. None
-        without landmarks.
-    """
-
-    azimuths_deg: NDArray[np.float64]
+    azimuths_deg: NDArray[np.float64]  # (N,): azimuths of the camera about them
+    # (N,): up to a constant, for frames a tenth of a second apart.
     log_likelihoods: NDArray[np.float64]
-    clarity: float
-    px_per_m: float
-    elevation_deg: float
-    hips_px: NDArray[np.float64]
+    clarity: float  # how clearly landmarks show the body, 0 to 1; 0 if none were read
+    px_per_m: float  # scale at the person's distance
+    elevation_deg: float  # elevation of the camera above the person
+    hips_px: NDArray[np.float64]  # (2,): middle of the hips, pixels of the frame
+    # (24, 3): that of the landmarks, metres about the hips, axes of the line of sight to them. None
+    # without landmarks.
     skeleton: NDArray[np.float64] | None
 
     @classmethod

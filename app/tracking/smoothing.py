@@ -52,25 +52,14 @@ _CONFIDENCE_OFFSET, _HYPOTHESES_WEIGHT, _AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
 
 @dataclass(frozen=True)
 class Smoothing:
-    """What the tracking experiment varies.
+    """What the tracking experiment varies."""
 
-    Parameters
-    ----------
-    max_states : int
-        Hypotheses of a frame that become states.
-    cost_per_m : float
-        Cost in nats of each metre that joints move on average from frame to frame; up to twice as
-        much at higher rates, less at lower ones.
-    heading_weight : float
-        Weight of the log of the heading's probability.
-    line_s : float
-        Time over which a line is fitted to the averages for silhouettes alone.
-    """
-
-    max_states: int = MAX_BODIES
+    max_states: int = MAX_BODIES  # hypotheses of a frame that become states
+    # Cost in nats of each metre that joints move on average from frame to frame; up to twice as
+    # much at higher rates, less at lower ones.
     cost_per_m: float = 60.0
-    heading_weight: float = 1.0
-    line_s: float = 0.35
+    heading_weight: float = 1.0  # weight of the log of the heading's probability
+    line_s: float = 0.35  # time over which a line is fitted to the averages for silhouettes alone
 
 
 SMOOTHING = Smoothing()

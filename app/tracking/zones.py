@@ -21,18 +21,12 @@ ZoneKind = Literal["rest", "watch"]
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """A part of a camera's picture.
+    """A part of a camera's picture."""
 
-    Parameters
-    ----------
-    name, kind : str
-        As the caller chose them.
-    polygon : (P, 2) float64 array
-        Its corners in order, in pixels of the frame; it may reach beyond the frame.
-    """
-
+    # Name and kind are as the caller chose them.
     name: str
     kind: ZoneKind
+    # (P, 2): its corners in order, in pixels of the frame; it may reach beyond the frame.
     polygon: NDArray[np.float64]
 
     def __post_init__(self) -> None:

@@ -31,35 +31,20 @@ LANDMARK_PX = 256
 
 @dataclass(frozen=True)
 class PoseReading:
-    """What the landmark network finds in a window.
-
-    Parameters
-    ----------
-    window : PersonWindow
-    landmarks : Landmarks
-        In pixels of the frame, and metres.
-    presence : float
-        The network's probability that a person is in the window.
-    next_window : PersonWindow
-        The window that the landmarks point to.
-    probability : (256, 256) float32 array, optional
-        Probability that each pixel of the window shows the person; None before
-        :meth:`MaskNetwork.read`.
-    mask_inputs : tuple of (S, S, C) float32 array
-        What the mask is made of, 2 MB; empty where there is a mask, or none is wanted.
-    keypoints : ObservedKeypoints, optional
-        MoveNet's keypoints of the same person, in pixels of the frame.
-    network_pass : NetworkPass, optional
-        The raw output of the network; None if the reading was made by hand.
-    """
+    """What the landmark network finds in a window."""
 
     window: PersonWindow
-    landmarks: Landmarks
-    presence: float
-    next_window: PersonWindow
+    landmarks: Landmarks  # in pixels of the frame, and metres
+    presence: float  # the network's probability that a person is in the window
+    next_window: PersonWindow  # the window that the landmarks point to
+    # (256, 256): probability that each pixel of the window shows the person; None before
+    # :meth:`MaskNetwork.read`.
     probability: NDArray[np.float32] | None = None
+    # (S, S, C): what the mask is made of, 2 MB; empty where there is a mask, or none is wanted.
     mask_inputs: tuple[NDArray[np.float32], ...] = ()
+    # MoveNet's keypoints of the same person, in pixels of the frame.
     keypoints: ObservedKeypoints | None = None
+    # The raw output of the network; None if the reading was made by hand.
     network_pass: NetworkPass | None = None
 
     @property
@@ -94,29 +79,17 @@ _CIRCLE_CENTRE, _CIRCLE_TOP = 33, 34
 
 @dataclass(frozen=True)
 class NetworkPass:
-    """The raw output of one pass of the landmark network.
+    """The raw output of one pass of the landmark network."""
 
-    Parameters
-    ----------
-    points : (39, 5) float32 array
-        x and y in pixels of the window from the corner of its first pixel, depth in the same
-        pixels, log odds of visibility and of presence.
-    world : (39, 3) float32 array
-        Metres about the middle of the hips: x and y along the window's sides, z along its line
-        of sight.
-    presence : float
-        The network's probability that a person is in the window.
-    middle : (8, 8, 144) float32 array
-        Feature map.
-    last : (2, 2, 288) float32 array
-        Feature map.
-    """
-
+    # (39, 5): x and y in pixels of the window from the corner of its first pixel, depth in the same
+    # pixels, log odds of visibility and of presence.
     points: NDArray[np.float32]
+    # (39, 3): metres about the middle of the hips: x and y along the window's sides, z along its
+    # line of sight.
     world: NDArray[np.float32]
-    presence: float
-    middle: NDArray[np.float32]
-    last: NDArray[np.float32]
+    presence: float  # the network's probability that a person is in the window
+    middle: NDArray[np.float32]  # (8, 8, 144): feature map
+    last: NDArray[np.float32]  # (2, 2, 288): feature map
 
     def __post_init__(self) -> None:
         shapes = (self.points.shape, self.world.shape)

@@ -29,23 +29,14 @@ HIPS = landmark_rows("hip")
 
 @dataclass(frozen=True)
 class Body3D:
-    """Landmarks in three dimensions.
+    """Landmarks in three dimensions."""
 
-    Parameters
-    ----------
-    points : (33, 3) float64 array
-        Metres about the middle of the hips, camera axes: x right, y down, z forward.
-    sigmas : (33,) float64 array
-        Expected absolute error along the line of sight, metres.
-    origin : (3,) float64 array
-        The middle of the hips, metres from the camera, estimated from the body's size.
-    sight : (3, 3) float64 array
-        Rotation from camera axes to those of the window's line of sight (without its roll).
-    """
-
+    # (33, 3): metres about the middle of the hips, camera axes: x right, y down, z forward.
     points: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
+    sigmas: NDArray[np.float64]  # (33,): expected absolute error along the line of sight, metres
+    # (3,): the middle of the hips, metres from the camera, estimated from the body's size.
     origin: NDArray[np.float64]
+    # (3, 3): rotation from camera axes to those of the window's line of sight (without its roll).
     sight: NDArray[np.float64]
 
     def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
@@ -81,32 +72,20 @@ def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body
 
 @dataclass(frozen=True)
 class Depths:
-    """Depths of landmarks.
+    """Depths of landmarks."""
 
-    Parameters
-    ----------
-    metres : (33,) float64 array
-        Along the window's line of sight, about the middle of the hips.
-    sigmas : (33,) float64 array
-        Expected absolute error of each depth, metres.
-    """
-
+    # (33,): along the window's line of sight, about the middle of the hips.
     metres: NDArray[np.float64]
-    sigmas: NDArray[np.float64]
+    sigmas: NDArray[np.float64]  # (33,): expected absolute error of each depth, metres
 
 
 @dataclass(frozen=True)
 class DepthModel:
-    """Corrects depths with a network, see :func:`depth_features` and :func:`decode_depths`.
-
-    Parameters
-    ----------
-    moments : (33, 33) float64 array
-        Second moments of the errors, each divided by the standard deviation of its Laplace
-        distribution: a body that leans errs as a whole.
-    """
+    """Corrects depths with a network, see :func:`depth_features` and :func:`decode_depths`."""
 
     network: DenseNetwork
+    # (33, 33): second moments of the errors, each divided by the standard deviation of its Laplace
+    # distribution: a body that leans errs as a whole.
     moments: NDArray[np.float64]
 
     def covariance(self, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -223,20 +202,13 @@ def decode_depths(
 
 @dataclass(frozen=True)
 class DenseNetwork:
-    """A network with standardised inputs and with SiLU between its layers.
+    """A network with standardised inputs and with SiLU between its layers."""
 
-    Parameters
-    ----------
-    means, scales : (F,) float32 array
-        Means and scales of the inputs.
-    weights : tuple of (I, O) float32 arrays
-    biases : tuple of (O,) float32 arrays
-    """
-
+    # (F,): means and scales of the inputs.
     means: NDArray[np.float32]
     scales: NDArray[np.float32]
-    weights: tuple[NDArray[np.float32], ...]
-    biases: tuple[NDArray[np.float32], ...]
+    weights: tuple[NDArray[np.float32], ...]  # (I, O)
+    biases: tuple[NDArray[np.float32], ...]  # (O,)
 
     def __post_init__(self) -> None:
         width = len(self.means)

@@ -20,17 +20,12 @@ class Box:
 
     The origin is the centre of the top-left pixel, so the box of that pixel alone is
     ``Box(-0.5, -0.5, 1, 1)``.
-
-    Parameters
-    ----------
-    x, y : float
-        Left and top edge.
-    width, height : float
-        Positive.
     """
 
+    # Left and top edge.
     x: float
     y: float
+    # Both positive.
     width: float
     height: float
 
@@ -152,22 +147,13 @@ _MIN_RADIUS_PX = 1e-3
 
 @dataclass(frozen=True)
 class PersonWindow:
-    """A square part of a frame about a person, rotated so that the trunk is upright in it.
+    """A square part of a frame about a person, rotated so that the trunk is upright in it."""
 
-    Parameters
-    ----------
-    x, y : float
-        Centre, in pixels of the frame.
-    side : float
-        Positive, in pixels of the frame.
-    roll_deg : float
-        Direction of the head in the frame, clockwise: 0 is up, 90 right.
-    """
-
+    # Centre, in pixels of the frame.
     x: float
     y: float
-    side: float
-    roll_deg: float = 0.0
+    side: float  # positive, in pixels of the frame
+    roll_deg: float = 0.0  # direction of the head in the frame, clockwise: 0 is up, 90 right
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.x, self.y, self.side, self.roll_deg]).all() and self.side > 0):

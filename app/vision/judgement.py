@@ -25,18 +25,11 @@ from app.vision.tflite import NetworkError
 
 @dataclass(frozen=True)
 class Trust:
-    """How far to trust a reading.
+    """How far to trust a reading."""
 
-    Parameters
-    ----------
-    person : float
-        Probability that the window shows a person, 0 to 1.
-    right : float
-        Probability that it does and that at least three in four of the visible limb joints are
-        within a fifth of the trunk of their true places, 0 to 1.
-    """
-
-    person: float
+    person: float  # probability that the window shows a person, 0 to 1
+    # Probability that it does and that at least three in four of the visible limb joints are within
+    # a fifth of the trunk of their true places, 0 to 1.
     right: float
 
 
@@ -72,18 +65,10 @@ class Judgement:
 
 @dataclass(frozen=True)
 class PostureEvidence:
-    """What postures are estimated from.
+    """What postures are estimated from."""
 
-    Parameters
-    ----------
-    body : (F,) float64 array
-        :func:`posture_features` and :func:`trust_features`.
-    surroundings : (M,) float32 array
-        :func:`region_features`.
-    """
-
-    body: NDArray[np.float64]
-    surroundings: NDArray[np.float32]
+    body: NDArray[np.float64]  # (F,): :func:`posture_features` and :func:`trust_features`
+    surroundings: NDArray[np.float32]  # (M,): :func:`region_features`
 
 
 @dataclass(frozen=True)
@@ -234,19 +219,12 @@ def trust_features(
 
 @dataclass(frozen=True)
 class PostureModel:
-    """Estimates postures.
+    """Estimates postures."""
 
-    Parameters
-    ----------
-    network : DenseNetwork
-        Scores of :data:`FRAME_POSTURES`.
-    sharpness : (2,) float64 array
-        The scores are multiplied by a factor: the less of a person is seen, the less certain is the
-        posture. These are the factor's logarithm if landmarks are as likely right as wrong, and its
-        growth with the log odds of right landmarks. Both are calibrated on held-out renders.
-    """
-
-    network: DenseNetwork
+    network: DenseNetwork  # scores of :data:`FRAME_POSTURES`
+    # (2,): the scores are multiplied by a factor: the less of a person is seen, the less certain is
+    # the posture. These are the factor's logarithm if landmarks are as likely right as wrong, and
+    # its growth with the log odds of right landmarks. Both are calibrated on held-out renders.
     sharpness: NDArray[np.float64]
 
     def scores(

@@ -27,22 +27,14 @@ _KEYPOINTS = len(COCO_NAMES)
 
 @dataclass(frozen=True)
 class MoveNetDetection:
-    """A person that MoveNet finds.
+    """A person that MoveNet finds."""
 
-    Parameters
-    ----------
-    box, keypoints : Box, ObservedKeypoints
-        In pixels of the image.
-    score : float
-        Score of the centre times the mean score of the visible keypoints, 0 to 1. It is not a
-        probability, and is low for small and covered people.
-    centre_score : float
-        Score of the centre alone.
-    """
-
+    # Box and keypoints are in pixels of the image.
     box: Box
+    # Score of the centre times the mean score of the visible keypoints, 0 to 1. It is not a
+    # probability, and is low for small and covered people.
     score: float
-    centre_score: float
+    centre_score: float  # score of the centre alone
     keypoints: ObservedKeypoints
 
 

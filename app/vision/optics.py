@@ -48,21 +48,12 @@ UNKNOWN_OPTICS = Optics()
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A camera without distortion, its axis through the middle of the frame.
+    """A camera without distortion, its axis through the middle of the frame."""
 
-    Parameters
-    ----------
-    focal : (2,) float64 array
-        Focal lengths across and down, pixels; alike where pixels are square.
-    centre : (2,) float64 array
-        Principal point, pixels.
-    given : bool
-        Whether the field of view was given rather than assumed.
-    """
-
+    # (2,): focal lengths across and down, pixels; alike where pixels are square.
     focal: NDArray[np.float64]
-    centre: NDArray[np.float64]
-    given: bool = False
+    centre: NDArray[np.float64]  # (2,): principal point, pixels
+    given: bool = False  # whether the field of view was given rather than assumed
 
     def __post_init__(self) -> None:
         finite = np.isfinite(self.focal).all() and np.isfinite(self.centre).all()
@@ -163,18 +154,10 @@ def window_axes(camera: PinholeCamera, window: PersonWindow) -> NDArray[np.float
 
 @dataclass(frozen=True)
 class PlacedBody:
-    """Bodies on the lines of sight of their landmarks.
+    """Bodies on the lines of sight of their landmarks."""
 
-    Parameters
-    ----------
-    points : (..., P, 3) float64 array
-        Metres from the camera, in its axes.
-    origin : (..., 3) float64 array
-        Position of the origin of the depths, likewise.
-    """
-
-    points: NDArray[np.float64]
-    origin: NDArray[np.float64]
+    points: NDArray[np.float64]  # (..., P, 3): metres from the camera, in its axes
+    origin: NDArray[np.float64]  # (..., 3): position of the origin of the depths, likewise
 
 
 def place_on_sight_lines(

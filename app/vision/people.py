@@ -53,18 +53,10 @@ def coco_rows(*parts: str) -> list[int]:
 
 @dataclass(frozen=True)
 class ObservedKeypoints:
-    """Where a photograph shows a person's keypoints.
+    """Where a photograph shows a person's keypoints."""
 
-    Parameters
-    ----------
-    positions : (17, 2) float64 array
-        Pixels, x before y; rows are :data:`COCO_NAMES`.
-    scores : (17,) float64 array
-        Confidence of each, 0 to 1.
-    """
-
-    positions: NDArray[np.float64]
-    scores: NDArray[np.float64]
+    positions: NDArray[np.float64]  # (17, 2): pixels, x before y; rows are :data:`COCO_NAMES`
+    scores: NDArray[np.float64]  # (17,): confidence of each, 0 to 1
 
     def __post_init__(self) -> None:
         count = len(COCO_NAMES)
@@ -89,24 +81,15 @@ NETWORK_DEPTH_SD_M = 0.15
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Where a photograph shows a person's landmarks, and their positions in space.
+    """Where a photograph shows a person's landmarks, and their positions in space."""
 
-    Parameters
-    ----------
-    positions : (33, 2) float64 array
-        Pixels, x before y; rows are :data:`LANDMARK_NAMES`.
-    visibility : (33,) float64 array
-        Probability that each is inside the frame and not hidden, 0 to 1.
-    metres : (33, 3) float64 array
-        Relative to the middle of the hips, axes of the line of sight to them: x right, y down, z
-        away from the camera.
-    depth_covariance : (33, 33) float64 array
-        Covariance of the errors of the depths, square metres.
-    """
-
-    positions: NDArray[np.float64]
+    positions: NDArray[np.float64]  # (33, 2): pixels, x before y; rows are :data:`LANDMARK_NAMES`
+    # (33,): probability that each is inside the frame and not hidden, 0 to 1.
     visibility: NDArray[np.float64]
+    # (33, 3): relative to the middle of the hips, axes of the line of sight to them: x right, y
+    # down, z away from the camera.
     metres: NDArray[np.float64]
+    # (33, 33): covariance of the errors of the depths, square metres.
     depth_covariance: NDArray[np.float64] = field(
         default_factory=lambda: NETWORK_DEPTH_SD_M**2 * np.eye(len(LANDMARK_NAMES))
     )
@@ -133,23 +116,13 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class Detection:
-    """A person found in a frame.
+    """A person found in a frame."""
 
-    Parameters
-    ----------
-    box : Box
-        Tight around the visible person.
-    score : float
-        Probability that the box holds a person, 0 to 1.
-    keypoints : ObservedKeypoints, optional
-        Keypoints in pixels of the frame; None if the detector finds none.
-    windows : tuple of PersonWindow
-        Windows in which the detector sees the whole body, the likeliest first; may be empty.
-    """
-
-    box: Box
-    score: float
+    box: Box  # tight around the visible person
+    score: float  # probability that the box holds a person, 0 to 1
+    # Keypoints in pixels of the frame; None if the detector finds none.
     keypoints: ObservedKeypoints | None = None
+    # Windows in which the detector sees the whole body, the likeliest first; may be empty.
     windows: tuple[PersonWindow, ...] = ()
 
     def __post_init__(self) -> None:
@@ -159,25 +132,16 @@ class Detection:
 
 @dataclass(frozen=True)
 class Silhouette:
-    """The pixels of one person, as a crop of the frame.
+    """The pixels of one person, as a crop of the frame."""
 
-    Parameters
-    ----------
-    crop : (h, w) bool array
-        True on the person; each border row and column holds at least one True pixel.
-    left, top : int
-        Column and row of the crop's first pixel in the frame.
-    segmenter : str
-        The source of the silhouette: ``network``, ``background`` or ``mask``.
-    truncated : bool
-        Whether the frame's border or another person cuts the body.
-    """
-
+    # (h, w): True on the person; each border row and column holds at least one True pixel.
     crop: NDArray[np.bool_]
+    # Column and row of the crop's first pixel in the frame.
     left: int
     top: int
+    # The source of the silhouette: ``network``, ``background`` or ``mask``.
     segmenter: SegmenterName
-    truncated: bool
+    truncated: bool  # whether the frame's border or another person cuts the body
 
     def __post_init__(self) -> None:
         if self.crop.ndim != 2 or self.crop.dtype != np.bool_ or self.crop.size == 0:

@@ -55,37 +55,20 @@ class Phenotype:
 
 @dataclass(frozen=True)
 class Avatar:
-    """A body in rest pose with its skin weights.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float32 array
-        Rest pose, body axes, metres.
-    triangles : (T, 3) int32 array
-    closed : int
-        Number of leading triangles that form closed surfaces: the body before its garments.
-    influences : (V, 8) int32 array
-        Bones that move each vertex.
-    weights : (V, 8) float32 array
-        Weight of each of these bones; rows sum to 1.
-    heads : (B, 3) float64 array
-        Start of each bone in rest pose.
-    tails : (B, 3) float64 array
-        End of each bone in rest pose.
-    face : (5, 3) float64 array
-        Nose, eyes and ears in rest pose; they move with the bone Head.
-    """
+    """A body in rest pose with its skin weights."""
 
     name: str
-    vertices: NDArray[np.float32]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float32]  # (V, 3): rest pose, body axes, metres
+    triangles: NDArray[np.int32]  # (T, 3)
+    # Number of leading triangles that form closed surfaces: the body before its garments.
     closed: int
-    influences: NDArray[np.int32]
-    weights: NDArray[np.float32]
+    influences: NDArray[np.int32]  # (V, 8): bones that move each vertex
+    weights: NDArray[np.float32]  # (V, 8): weight of each of these bones; rows sum to 1
     bones: tuple[str, ...]
     parents: tuple[int, ...]
-    heads: NDArray[np.float64]
-    tails: NDArray[np.float64]
+    heads: NDArray[np.float64]  # (B, 3): start of each bone in rest pose
+    tails: NDArray[np.float64]  # (B, 3): end of each bone in rest pose
+    # (5, 3): nose, eyes and ears in rest pose; they move with the bone Head.
     face: NDArray[np.float64]
 
     def __post_init__(self) -> None:
@@ -104,20 +87,11 @@ class Avatar:
 
 @dataclass(frozen=True)
 class BaseMesh:
-    """All 19,158 ``hm08`` vertices of one body, helpers included; garments refer to them.
+    """All 19,158 ``hm08`` vertices of one body, helpers included; garments refer to them."""
 
-    Parameters
-    ----------
-    vertices : (19158, 3) float64 array
-        Rest pose, body axes, metres.
-    dense_weights : (19158, B) float32 array
-    triangles : (T, 3) int32 array
-        The skin, without helpers.
-    """
-
-    vertices: NDArray[np.float64]
-    dense_weights: NDArray[np.float32]
-    triangles: NDArray[np.int32]
+    vertices: NDArray[np.float64]  # (19158, 3): rest pose, body axes, metres
+    dense_weights: NDArray[np.float32]  # (19158, B)
+    triangles: NDArray[np.int32]  # (T, 3): the skin, without helpers
 
 
 @lru_cache(maxsize=1)

@@ -26,22 +26,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Queries:
-    """Silhouettes to ask an index for, with their true joints.
+    """Silhouettes to ask an index for, with their true joints."""
 
-    Parameters
-    ----------
-    silhouettes : (Q, 128, 48) uint8 array
-    joints_2d : (Q, 19, 2) float array
-        Pixels of the normalised frame.
-    joints_3d : (Q, 19, 3) float array
-        Axes of an upright camera, metres, pelvis at the origin.
-    roll_deg : (Q,) float array
-        Roll of the camera if it was rolled for a wide silhouette, else 0.
-    """
-
-    silhouettes: NDArray[np.uint8]
-    joints_2d: NDArray[np.floating]
+    silhouettes: NDArray[np.uint8]  # (Q, 128, 48)
+    joints_2d: NDArray[np.floating]  # (Q, 19, 2): pixels of the normalised frame
+    # (Q, 19, 3): axes of an upright camera, metres, pelvis at the origin.
     joints_3d: NDArray[np.floating]
+    # (Q,): roll of the camera if it was rolled for a wide silhouette, else 0.
     roll_deg: NDArray[np.floating]
 
     def __post_init__(self) -> None:
@@ -92,32 +83,21 @@ class Queries:
 
 @dataclass(frozen=True)
 class Trial:
-    """Answers of an index to simulated queries, and their errors.
+    """Answers of an index to simulated queries, and their errors."""
 
-    Parameters
-    ----------
-    features : (Q, N, F) float64 array
-        Columns are :data:`index.confidence.FEATURES`, or
-        :data:`index.confidence.RERANKING_FEATURES` if the index has a network.
-        0 where an index has fewer than N poses to offer.
-    confidence : (Q, N) float64 array
-        As features.
-    joint_errors_px : (Q, N, 19) float64 array
-        Error of each joint, normalised pixels; infinite where there is no hypothesis.
-    twin_error_px : (Q, N) float64 array
-        Mean joint error if left and right are exchanged, as an outline seen from the height of
-        the hips cannot tell them.
-    error_m : (Q, N) float64 array
-        Mean joint error in camera axes, pelvis on pelvis, metres.
-    votes : (Q, 10) float64 array
-        Confidence with which hypotheses vote for each of :data:`index.posture.POSTURES`.
-    """
-
+    # (Q, N, F): columns are :data:`index.confidence.FEATURES`, or
+    # :data:`index.confidence.RERANKING_FEATURES` if the index has a network. 0 where an index has
+    # fewer than N poses to offer.
     features: NDArray[np.float64]
-    confidence: NDArray[np.float64]
+    confidence: NDArray[np.float64]  # (Q, N): as features
+    # (Q, N, 19): error of each joint, normalised pixels; infinite where there is no hypothesis.
     joint_errors_px: NDArray[np.float64]
+    # (Q, N): mean joint error if left and right are exchanged, as an outline seen from the height
+    # of the hips cannot tell them.
     twin_error_px: NDArray[np.float64]
+    # (Q, N): mean joint error in camera axes, pelvis on pelvis, metres.
     error_m: NDArray[np.float64]
+    # (Q, 10): confidence with which hypotheses vote for each of :data:`index.posture.POSTURES`.
     votes: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Trial:

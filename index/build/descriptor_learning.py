@@ -40,28 +40,15 @@ _SCALE_PX, _SCALE_M = 5.0, 0.11
 
 @dataclass(frozen=True)
 class Recipe:
-    """Moments and parameters of a discriminant descriptor.
+    """Moments and parameters of a discriminant descriptor."""
 
-    Parameters
-    ----------
-    vertical_orders, horizontal_orders : int
-        Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
-    p1 : float
-        Horizontal centre of the polynomials.
-    p2 : tuple of float
-        Vertical centres, one block of moments each.
-    dimension : int
-        Values of the descriptor.
-    regularisation : float
-        Share of the mean within-scatter added to every direction.
-    """
-
+    # Moments ``Q[n, m]`` with ``n < vertical_orders`` and ``m < horizontal_orders``.
     vertical_orders: int = 28
     horizontal_orders: int = 14
-    p1: float = 0.5
-    p2: tuple[float, ...] = (0.25, 0.75)
-    dimension: int = 48
-    regularisation: float = 1e-2
+    p1: float = 0.5  # horizontal centre of the polynomials
+    p2: tuple[float, ...] = (0.25, 0.75)  # vertical centres, one block of moments each
+    dimension: int = 48  # values of the descriptor
+    regularisation: float = 1e-2  # share of the mean within-scatter added to every direction
 
     def block(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
         """The moments ``(B, F)`` of silhouettes ``(B, 128, 48)``."""
@@ -72,21 +59,12 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Scatter matrices of the moments over a simulation.
+    """Scatter matrices of the moments over a simulation."""
 
-    Parameters
-    ----------
-    total : (F, F) float64 array
-        Covariance over all silhouettes and their mirror images.
-    within : (F, F) float64 array
-        Mean square difference of silhouettes that belong together; not yet regularised.
-    recipe : Recipe
-        Describes the moments; its dimension and regularisation are not used.
-    """
-
-    total: NDArray[np.float64]
+    total: NDArray[np.float64]  # (F, F): covariance over all silhouettes and their mirror images
+    # (F, F): mean square difference of silhouettes that belong together; not yet regularised.
     within: NDArray[np.float64]
-    recipe: Recipe
+    recipe: Recipe  # describes the moments; its dimension and regularisation are not used
 
     def below(self, vertical_orders: int, horizontal_orders: int) -> Scatter:
         """The scatter of the moments of lower orders only."""

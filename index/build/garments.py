@@ -24,31 +24,17 @@ class GarmentError(ValueError):
 
 @dataclass(frozen=True)
 class Garment:
-    """One ``.mhclo`` file with its mesh.
-
-    Parameters
-    ----------
-    anchors : (V, 3) int32 array
-        Vertices of the base mesh that hold each garment vertex.
-    shares : (V, 3) float64 array
-        Their weights.
-    offsets : (V, 3) float64 array
-        Decimetres on the reference body, body axes.
-    scales : (3, 3) float64 array
-        For x, y and z: two vertices of the base mesh and their distance along that axis on the
-        reference body, in decimetres.
-    triangles : (T, 3) int32 array
-    hidden : (H,) int64 array
-        Vertices of the base mesh that the garment covers.
-    """
+    """One ``.mhclo`` file with its mesh."""
 
     name: str
-    anchors: NDArray[np.int32]
-    shares: NDArray[np.float64]
-    offsets: NDArray[np.float64]
+    anchors: NDArray[np.int32]  # (V, 3): vertices of the base mesh that hold each garment vertex
+    shares: NDArray[np.float64]  # (V, 3): their weights
+    offsets: NDArray[np.float64]  # (V, 3): decimetres on the reference body, body axes
+    # (3, 3): for x, y and z: two vertices of the base mesh and their distance along that axis on
+    # the reference body, in decimetres.
     scales: NDArray[np.float64]
-    triangles: NDArray[np.int32]
-    hidden: NDArray[np.int64]
+    triangles: NDArray[np.int32]  # (T, 3)
+    hidden: NDArray[np.int64]  # (H,): vertices of the base mesh that the garment covers
 
 
 def find_garments(folder: Path) -> dict[str, Path]:

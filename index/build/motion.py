@@ -93,40 +93,22 @@ class Segment:
 
 @dataclass(frozen=True)
 class Clip:
-    """One BVH file as rotations.
-
-    Parameters
-    ----------
-    bones : tuple of str
-        The BVH joints, parents first.
-    parents : tuple of int
-        Of each bone; -1 for the root.
-    offsets : (B, 3) float64 array
-        From the parent's start to the bone's, in the zero pose; file units, y up.
-    tips : (B, 3) float64 array
-        From the bone's start to its end in the zero pose: its first child with an offset of its
-        own, or its end site.
-    rotations : (F, B, 3, 3) float64 array
-        World rotation of each bone against the zero pose.
-    positions : (F, 3) float64 array
-        Path of the root, metres, y up.
-    speeds : (F,) float64 array
-        Horizontal speed of the pelvis, metres per second.
-    broken : (F,) bool array
-        Frames that hold a T-pose or a jump.
-    t_poses, jumps : int
-        Frames marked for each reason.
-    """
+    """One BVH file as rotations."""
 
     name: str
-    bones: tuple[str, ...]
-    parents: tuple[int, ...]
+    bones: tuple[str, ...]  # the BVH joints, parents first
+    parents: tuple[int, ...]  # of each bone; -1 for the root
+    # (B, 3): from the parent's start to the bone's, in the zero pose; file units, y up.
     offsets: NDArray[np.float64]
+    # (B, 3): from the bone's start to its end in the zero pose: its first child with an offset of
+    # its own, or its end site.
     tips: NDArray[np.float64]
+    # (F, B, 3, 3): world rotation of each bone against the zero pose.
     rotations: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    speeds: NDArray[np.float64]
-    broken: NDArray[np.bool_]
+    positions: NDArray[np.float64]  # (F, 3): path of the root, metres, y up
+    speeds: NDArray[np.float64]  # (F,): horizontal speed of the pelvis, metres per second
+    broken: NDArray[np.bool_]  # (F,): frames that hold a T-pose or a jump
+    # Frames marked for each reason.
     t_poses: int
     jumps: int
 

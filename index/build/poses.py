@@ -98,26 +98,15 @@ def side_of(lying_deg: float) -> str:
 
 @dataclass(frozen=True)
 class Poses:
-    """Single frames of motion, turned to face +z.
-
-    Parameters
-    ----------
-    clip : (P,) int array
-        Position in ``clips``.
-    frame : (P,) int array
-        Frame of that clip, zero-based.
-    action : (P,) int array
-        Position in ``actions``.
-    lying_deg : (P,) float array
-        Turn about the body's long axis of poses laid down, see
-        :func:`index.build.poses.laid_down`; NaN for those that stay as they were recorded.
-    """
+    """Single frames of motion, turned to face +z."""
 
     clips: tuple[Clip, ...]
-    clip: NDArray[np.int64]
-    frame: NDArray[np.int64]
+    clip: NDArray[np.int64]  # (P,): position in ``clips``
+    frame: NDArray[np.int64]  # (P,): frame of that clip, zero-based
     actions: tuple[str, ...]
-    action: NDArray[np.int64]
+    action: NDArray[np.int64]  # (P,): position in ``actions``
+    # (P,): turn about the body's long axis of poses laid down, see
+    # :func:`index.build.poses.laid_down`; NaN for those that stay as they were recorded.
     lying_deg: NDArray[np.float64]
 
     def __len__(self) -> int:

@@ -40,19 +40,12 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True)
 class Simulation:
-    """Simulated silhouettes and where each comes from; fields as in :class:`index.store.PoseIndex`.
-
-    Parameters
-    ----------
-    entries : (E,) array of ENTRY_DTYPE
-    skeletons : (S, 24, 3) float16 array
-    skeleton_labels : (S,) array of SKELETON_DTYPE
-    """
+    """Simulated silhouettes and their origin; fields as in :class:`index.store.PoseIndex`."""
 
     silhouette_store: Silhouettes
-    entries: NDArray[np.void]
-    skeletons: NDArray[np.float16]
-    skeleton_labels: NDArray[np.void]
+    entries: NDArray[np.void]  # (E,)
+    skeletons: NDArray[np.float16]  # (S, 24, 3)
+    skeleton_labels: NDArray[np.void]  # (S,)
     clips: tuple[str, ...]
     subjects: tuple[str, ...]
     actions: tuple[str, ...]

@@ -35,28 +35,15 @@ HEAD_FIRST = 0.35
 
 @dataclass(frozen=True)
 class PostureRows(Rows):
-    """What shows the postures of rendered people, and what they are.
+    """What shows the postures of rendered people, and what they are."""
 
-    Parameters
-    ----------
-    photograph : (N,) int64 array
-    view : (N,) int64 array
-        Positions in :data:`VIEWS`.
-    body : (N, F) float16 array
-    surroundings : (N, M) float16 array
-    right : (N,) float64 array
-        Probability that the landmarks are right.
-    presence : (N,) float64 array
-    posture : (N,) int64 array
-        Positions in :data:`app.vision.judgement.FRAME_POSTURES`, or -1 where nobody is.
-    """
-
-    photograph: NDArray[np.int64]
-    view: NDArray[np.int64]
-    body: NDArray[np.float16]
-    surroundings: NDArray[np.float16]
-    right: NDArray[np.float64]
-    presence: NDArray[np.float64]
+    photograph: NDArray[np.int64]  # (N,)
+    view: NDArray[np.int64]  # (N,): positions in :data:`VIEWS`
+    body: NDArray[np.float16]  # (N, F)
+    surroundings: NDArray[np.float16]  # (N, M)
+    right: NDArray[np.float64]  # (N,): probability that the landmarks are right
+    presence: NDArray[np.float64]  # (N,)
+    # (N,): positions in :data:`app.vision.judgement.FRAME_POSTURES`, or -1 where nobody is.
     posture: NDArray[np.int64]
 
 

@@ -68,24 +68,13 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Hyperparameters of the training.
+    """Hyperparameters of the training."""
 
-    Parameters
-    ----------
-    passes : float
-        Epochs over the silhouettes, including degraded ones.
-    batch : int
-        Silhouettes per step.
-    rate : float
-        Highest learning rate; it rises over the first twentieth, then falls to nothing.
-    decay : float
-        Weight decay.
-    """
-
-    passes: float = 20.0
-    batch: int = 128
+    passes: float = 20.0  # epochs over the silhouettes, including degraded ones
+    batch: int = 128  # silhouettes per step
+    # Highest learning rate; it rises over the first twentieth, then falls to nothing.
     rate: float = 2e-3
-    decay: float = 0.02
+    decay: float = 0.02  # weight decay
     seed: int = 20161
 
 
@@ -244,21 +233,12 @@ _FLIPPED_SHARE, _MAX_FLIPS = 0.25, 0.2
 
 @dataclass(frozen=True)
 class Examples:
-    """Training examples.
+    """Training examples."""
 
-    Parameters
-    ----------
-    bits : (N, 192) uint8 array
-        Silhouettes at half the resolution, bit-packed.
-    points : (N, 24, 3) float16 array
-        Column and row in pixels of the normalised frame, and depth in metres.
-    stood_up : (N,) bool array
-        Silhouettes that were wider than high and rotated upright.
-    """
-
-    bits: NDArray[np.uint8]
+    bits: NDArray[np.uint8]  # (N, 192): silhouettes at half the resolution, bit-packed
+    # (N, 24, 3): column and row in pixels of the normalised frame, and depth in metres.
     points: NDArray[np.float16]
-    stood_up: NDArray[np.bool_]
+    stood_up: NDArray[np.bool_]  # (N,): silhouettes that were wider than high and rotated upright
 
     def __len__(self) -> int:
         return len(self.bits)

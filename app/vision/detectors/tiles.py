@@ -21,18 +21,10 @@ _SEAM_PX = 4.0  # A box that ends so close to a seam, as a detector sees it, is 
 
 @dataclass(frozen=True)
 class Tile:
-    """A part of a frame as a detector sees it.
+    """A part of a frame as a detector sees it."""
 
-    Parameters
-    ----------
-    rect : (left, top, width, height)
-        In pixels of the frame.
-    factor : float
-        Factor by which the part is resized.
-    """
-
-    rect: PixelRect
-    factor: float
+    rect: PixelRect  # (left, top, width, height): in pixels of the frame
+    factor: float  # factor by which the part is resized
 
     @property
     def size(self) -> tuple[int, int]:

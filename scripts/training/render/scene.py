@@ -75,56 +75,32 @@ _HIPS, _HEAD, _FEET = (
 
 @dataclass(frozen=True)
 class Photograph:
-    """A picture and what it shows.
+    """A picture and what it shows."""
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8 array
-        BGR; the part of the frame about the subject.
-    focal, centre : (2,) float64 array
-        Focal lengths and principal point, pixels; the point may lie outside the picture.
-    frame_px : (2,) float64 array
-        Width and height of the whole frame, about the principal point.
-    box : (4,) float64 array
-        Left, top, width, height of what is seen of the subject.
-    posture : int
-        Position in :data:`app.vision.judgement.FRAME_POSTURES`; :data:`EMPTY` without people.
-    landmarks : (33, 3) float64 array
-        Camera axes, metres from the camera; NaN without people.
-    places : (33, 2) float64 array
-        Where they are in the picture, pixels.
-    shown : (33,) bool array
-        Whether each is in the picture, and no thing is in front of it.
-    covered : float
-        Share of the body's pixels that things hide or the frame cuts.
-    """
-
-    image: NDArray[np.uint8]
+    image: NDArray[np.uint8]  # (H, W, 3): BGR; the part of the frame about the subject
+    # (2,): focal lengths and principal point, pixels; the point may lie outside the picture.
     focal: NDArray[np.float64]
     centre: NDArray[np.float64]
+    # (2,): width and height of the whole frame, about the principal point.
     frame_px: NDArray[np.float64]
-    box: NDArray[np.float64]
+    box: NDArray[np.float64]  # (4,): left, top, width, height of what is seen of the subject
+    # Position in :data:`app.vision.judgement.FRAME_POSTURES`; :data:`EMPTY` without people.
     posture: int
+    # (33, 3): camera axes, metres from the camera; NaN without people.
     landmarks: NDArray[np.float64]
-    places: NDArray[np.float64]
+    places: NDArray[np.float64]  # (33, 2): where they are in the picture, pixels
+    # (33,): whether each is in the picture, and no thing is in front of it.
     shown: NDArray[np.bool_]
-    covered: float
+    covered: float  # share of the body's pixels that things hide or the frame cuts
 
 
 @dataclass
 class Studio:
-    """Takes photographs; the same ones for the same seed.
-
-    Parameters
-    ----------
-    people : list of Person
-    source : PoseSource
-    head_first : float
-        Share of the people who lie whose head points to the camera, beside those by chance.
-    """
+    """Takes photographs; the same ones for the same seed."""
 
     people: list[Person]
     source: PoseSource
+    # Share of the people who lie whose head points to the camera, beside those by chance.
     head_first: float = 0.0
 
     @classmethod
@@ -352,23 +328,12 @@ def _shown(
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A part of a camera's frame drawn at a resolution.
-
-    Parameters
-    ----------
-    camera : Camera
-    scale : float
-        Pixels for a tangent of 1.
-    centre : (2,) float64 array
-        Principal point, pixels.
-    shape : tuple of int
-        Rows and columns.
-    """
+    """A part of a camera's frame drawn at a resolution."""
 
     camera: Camera
-    scale: float
-    centre: NDArray[np.float64]
-    shape: tuple[int, int]
+    scale: float  # pixels for a tangent of 1
+    centre: NDArray[np.float64]  # (2,): principal point, pixels
+    shape: tuple[int, int]  # rows and columns
 
     def _plane(self, mesh: Mesh) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         seen = self.camera.seen(mesh.vertices)
