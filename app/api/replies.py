@@ -1,7 +1,7 @@
 """Estimates, tracked frames, sessions and videos as models of the public contract."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
-from app.cameras import CameraSettings, CameraSummary
+from app.cameras import CameraSettings, CameraSummary, SessionSummary
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
@@ -386,33 +386,41 @@ def sequence_line(reply: tracking_schemas.SequenceLine) -> bytes:
 
 def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     """Describe a camera."""
-    session = camera.session
+    zones, optics = camera.settings.zones, camera.settings.optics
     return tracking_schemas.CameraState(
         camera_id=camera.camera_id,
         zones=[
             tracking_schemas.Zone(name=zone.name, kind=zone.kind, polygon=zone.polygon.tolist())
-            for zone in camera.settings.zones
+            for zone in zones
         ],
-        zones_outside=[
-            zone.name
-            for zone in camera.settings.zones
-            if session and is_outside(zone.polygon, (session.height, session.width))
-        ],
-        zones_crossing=[
-            zone.name for zone in camera.settings.zones if crosses_itself(zone.polygon)
-        ],
-        fov_deg=camera.settings.optics.fov_deg,
-        pixel_aspect=camera.settings.optics.pixel_aspect,
-        roll_deg=camera.settings.optics.roll_deg,
+        zones_crossing=[zone.name for zone in zones if crosses_itself(zone.polygon)],
+        fov_deg=optics.fov_deg,
+        pixel_aspect=optics.pixel_aspect,
+        roll_deg=optics.roll_deg,
         events=[name for name in EVENT_NAMES if name in camera.settings.events],
-        frames=session.frames if session else 0,
-        timestamp=round(session.timestamp, SECOND_DIGITS) if session else None,
-        image=schemas.ImageSize(width=session.width, height=session.height) if session else None,
-        track_ids=list(session.track_ids) if session else [],
-        age_s=round(session.age_s, SECOND_DIGITS) if session else None,
-        idle_s=round(session.idle_s, SECOND_DIGITS) if session else None,
-        memory_bytes=session.memory_bytes if session else 0,
+        **(_session_fields(camera.session, zones) if camera.session else _NO_SESSION),
     )
+
+
+_NO_SESSION: dict[str, Any] = {
+    **dict.fromkeys(("zones_outside", "track_ids"), ()),
+    **dict.fromkeys(("frames", "memory_bytes"), 0),
+    **dict.fromkeys(("timestamp", "image", "age_s", "idle_s")),
+}
+
+
+def _session_fields(session: SessionSummary, zones: Sequence[Zone]) -> dict[str, Any]:
+    shape = session.height, session.width
+    return {
+        "zones_outside": [zone.name for zone in zones if is_outside(zone.polygon, shape)],
+        "frames": session.frames,
+        "timestamp": round(session.timestamp, SECOND_DIGITS),
+        "image": schemas.ImageSize(width=session.width, height=session.height),
+        "track_ids": list(session.track_ids),
+        "age_s": round(session.age_s, SECOND_DIGITS),
+        "idle_s": round(session.idle_s, SECOND_DIGITS),
+        "memory_bytes": session.memory_bytes,
+    }
 
 
 def events_reply(camera_id: str, events: Iterable[Event]) -> tracking_schemas.CameraEvents:

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from pathlib import Path
 from typing import NoReturn
 from urllib.parse import SplitResult, urlsplit
@@ -79,23 +79,28 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
         say("stopped")
     stopping.set()
     wait([watching], STOPS_WITHIN_S)
-    if home_assistant:
-        home_assistant.hide()
     _let_go(outbox, home_assistant, signals)
     closing.set()
     if len(outbox):
         say(f"{len(outbox)} deliveries {fate(options.queue, outbox.save())}")
-    if watching.done():
-        try:
+    return _status(watching)
+
+
+def _status(watching: Future[None]) -> int:
+    """The exit status after the watching; says why the service refuses."""
+    try:
+        if watching.done():
             watching.result()
-        except RefusedError as refusal:
-            print(f"{PROGRAM}: the service refuses: {refusal}", file=sys.stderr)
-            return 1
+    except RefusedError as refusal:
+        print(f"{PROGRAM}: the service refuses: {refusal}", file=sys.stderr)
+        return 1
     return 0
 
 
 def _let_go(outbox: Outbox, home_assistant: HomeAssistant | None, signals: Sequence[int]) -> None:
     """Wait a while until all is delivered; a second signal ends that."""
+    if home_assistant:
+        home_assistant.hide()
     deadline = time.monotonic() + STOPS_WITHIN_S
     while time.monotonic() < deadline and len(signals) < 2:
         if not len(outbox) and not (home_assistant and home_assistant.news()):

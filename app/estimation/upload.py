@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, TypeVar
 
@@ -152,17 +152,10 @@ class UploadDecoder:
         decoded: list[Any] = job.map(lambda image: self._decode(*image), sent)
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
-        if isinstance(upload.frame, np.ndarray):
-            photograph = Photograph.of(upload.frame)
-        elif "frame" in by_name:
-            photograph = by_name["frame"]
-        else:
-            photograph = Photograph(np.zeros((*by_name["mask"].labels.shape, 3), np.uint8))
+        photograph = _photograph(upload.frame, by_name)
         frame = photograph.pixels
         if mask is not None:
-            _check_size("mask", mask.labels, frame)
-            self._check_count("mask", len(mask.present))
-            _check_together(mask)
+            self._check_mask(mask, frame)
         if background is not None:
             background = background.pixels
             _check_size("background", background, frame)
@@ -188,6 +181,11 @@ class UploadDecoder:
             rectification=rectification,
             warnings=photograph.warnings,
         )
+
+    def _check_mask(self, mask: LabelImage, frame: NDArray[np.uint8]) -> None:
+        _check_size("mask", mask.labels, frame)
+        self._check_count("mask", len(mask.present))
+        _check_together(mask)
 
     def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
         try:
@@ -224,6 +222,16 @@ class UploadDecoder:
                 f"{name}: expected people whose boxes together hold at most {most} pixels, "
                 f"got {area:.0f}",
             )
+
+
+def _photograph(frame: bytes | NDArray[np.uint8] | None, decoded: Mapping[str, Any]) -> Photograph:
+    """The photograph of a frame; a black one of the mask's size if there is none."""
+    if isinstance(frame, np.ndarray):
+        return Photograph.of(frame)
+    if "frame" in decoded:
+        photograph: Photograph = decoded["frame"]
+        return photograph
+    return Photograph(np.zeros((*decoded["mask"].labels.shape, 3), np.uint8))
 
 
 def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:

@@ -109,12 +109,8 @@ class TrackedPeopleDetector:
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
         still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
-        if still:
-            interval = STILL_SEARCH_EVERY_S if tracks else EMPTY_SEARCH_EVERY_S
-        else:
-            someone_enters = not tracks and self._scene.has_just_changed(timestamp)
-            interval = 0.0 if someone_enters else SEARCH_EVERY_S
         expected, lost = state.expected, state.lost
+        interval = self._interval(timestamp, bool(tracks), still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
             expected = self._shown(frame, timestamp, expected, job)
             gone = [
@@ -124,6 +120,13 @@ class TrackedPeopleDetector:
                 return [], [], expected
             lost = list(dict.fromkeys([*lost, *gone]))
         return self._searched(frame, timestamp, expected, lost, job)
+
+    def _interval(self, timestamp: float, is_tracked: bool, is_still: bool) -> float:
+        """Time from one search to the next; none where somebody enters an empty scene."""
+        if is_still:
+            return STILL_SEARCH_EVERY_S if is_tracked else EMPTY_SEARCH_EVERY_S
+        enters = not is_tracked and self._scene.has_just_changed(timestamp)
+        return 0.0 if enters else SEARCH_EVERY_S
 
     def _searched(
         self,
@@ -162,18 +165,13 @@ class TrackedPeopleDetector:
 
 @dataclass(frozen=True)
 class _Followed:
-    """The tracks before a frame.
+    """The tracks before a frame."""
 
-    ``expected`` has windows of those seen a moment ago, ``lost`` are confirmed ones that the frame
-    before did not show, ``all_in_windows`` says that everybody is confirmed and has a window, and
-    ``may_suffice`` that the windows may show everybody there is, if anybody: people who fell lie
-    where they were last seen, so they cause no search before the next one is due.
-    """
-
-    expected: Expected
-    lost: list[Track]
-    all_in_windows: bool
-    may_suffice: bool
+    tracks: Sequence[Track]
+    people: list[Track]  # tracks that are confirmed
+    lost: list[Track]  # people whom the frame before did not show
+    recent: list[Track]  # tracks seen a moment ago
+    expected: Expected  # their windows
 
     @classmethod
     def at(cls, timestamp: float, tracks: Sequence[Track], read_at: float) -> _Followed:
@@ -181,14 +179,21 @@ class _Followed:
         expected = {one: one.next_window for one in recent if one.next_window}
         people = [track for track in tracks if track.track_id is not None]
         lost = [track for track in people if track.seen_at < read_at]
-        whole = len(expected) == len(recent)
-        return cls(
-            expected,
-            lost,
-            all_in_windows=len(expected) == len(people) == len(tracks) and not lost,
-            may_suffice=whole
-            and (bool(expected) or not tracks or any(track.lies_at for track in tracks)),
-        )
+        return cls(tracks, people, lost, recent, expected)
+
+    @property
+    def all_in_windows(self) -> bool:
+        """Whether everybody is confirmed and has a window."""
+        return len(self.expected) == len(self.people) == len(self.tracks) and not self.lost
+
+    @property
+    def may_suffice(self) -> bool:
+        """Whether the windows may show everybody there is, if anybody.
+
+        People who fell lie where they were last seen; they cause no search before the next one.
+        """
+        some = self.expected or not self.tracks or any(track.lies_at for track in self.tracks)
+        return len(self.expected) == len(self.recent) and bool(some)
 
 
 def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:

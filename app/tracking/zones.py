@@ -150,20 +150,27 @@ class ZoneWatch:
             events += self._leave(name, track_id, timestamp, timestamp)
         for zone in zones:
             stay = self._stays.get(zone.name)
-            entered = stay is not None and stay.entered
-            if zone in self.zones or (entered and _is_near(zone, box, posture)):
-                stay = self._stays.setdefault(zone.name, _Stay(timestamp))
-                stay.outside_since = None
-                if not stay.entered and timestamp - stay.since >= SETTLING_S:
-                    stay.entered = True
-                    events.append(_crossing("zone_entered", zone.name, track_id, timestamp))
+            has_entered = stay is not None and stay.entered
+            if zone in self.zones or (has_entered and _is_near(zone, box, posture)):
+                events += self._inside(zone.name, track_id, timestamp)
             elif stay is not None:
-                if stay.outside_since is None:
-                    stay.outside_since = timestamp
-                outside_s = timestamp - stay.outside_since
-                if not stay.entered or outside_s >= SETTLING_S:
-                    events += self._leave(zone.name, track_id, timestamp, timestamp)
+                events += self._outside(zone.name, stay, track_id, timestamp)
         return events
+
+    def _inside(self, name: str, track_id: int, timestamp: float) -> list[Event]:
+        stay = self._stays.setdefault(name, _Stay(timestamp))
+        stay.outside_since = None
+        if stay.entered or timestamp - stay.since < SETTLING_S:
+            return []
+        stay.entered = True
+        return [_crossing("zone_entered", name, track_id, timestamp)]
+
+    def _outside(self, name: str, stay: _Stay, track_id: int, timestamp: float) -> list[Event]:
+        if stay.outside_since is None:
+            stay.outside_since = timestamp
+        if stay.entered and timestamp - stay.outside_since < SETTLING_S:
+            return []
+        return self._leave(name, track_id, timestamp, timestamp)
 
     def end(self, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
         """Leave all zones; the person was last seen at ``seen_at``."""

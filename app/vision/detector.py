@@ -102,10 +102,7 @@ class NetworkDetector:
         people, scores, others = self._found(frame)
         odds = detection_odds(scores)
         self._compare_with_objects(frame, people, odds, known_boxes)
-        for box in expected_boxes:
-            near = [row for row, one in enumerate(people) if may_be_reached(one.box, box)]
-            if near:
-                odds[max(near, key=lambda row: odds[row])] += _EXPECTED_LOG_ODDS
+        _raise_expected(people, odds, expected_boxes)
         judged = [
             replace(one, score=score)
             for one, score in zip(people, sigmoid(odds).tolist(), strict=True)
@@ -207,6 +204,16 @@ class NetworkDetector:
         if box is None or reading.presence < MIN_PRESENCE:
             return None
         return Detection(box, 0.0, None, (window,))
+
+
+def _raise_expected(
+    people: Sequence[Detection], odds: NDArray[np.float64], boxes: Sequence[Box]
+) -> None:
+    """Raise the log odds ``(N,)`` of the likeliest person in reach of each expected box."""
+    for box in boxes:
+        near = [row for row, one in enumerate(people) if may_be_reached(one.box, box)]
+        if near:
+            odds[max(near, key=lambda row: odds[row])] += _EXPECTED_LOG_ODDS
 
 
 def _by_score(one: Detection) -> float:

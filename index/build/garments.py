@@ -6,7 +6,7 @@ apart two named vertices of this body are against the reference body.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -58,40 +58,55 @@ def read_garment(file: Path) -> Garment:
         lines = file.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise GarmentError(f"the garment {file} cannot be read: {error}") from error
-    scales: dict[str, list[float]] = {}
-    rows: list[tuple[list[int], list[float], list[float]]] = []
-    hidden: list[int] = []
-    mesh = file.with_suffix(".obj")
-    section = ""
+    found = _Content(file.with_suffix(".obj").name)
     for number, line in enumerate(lines, start=1):
         words = line.split()
         if not words or words[0].startswith("#"):
             continue
         try:
-            if words[0] in ("x_scale", "y_scale", "z_scale"):
-                scales[words[0]] = [int(words[1]), int(words[2]), float(words[3])]
-            elif words[0] == "obj_file":
-                mesh = file.parent / words[1]
-            elif words[0] in ("verts", "delete_verts"):
-                section = words[0]
-            elif words[0].lstrip("-").isdigit() and section == "verts":
-                rows.append(_anchor(words))
-            elif words[0].isdigit() and section == "delete_verts":
-                hidden += _ranges(words)
+            found.add(words)
         except (IndexError, ValueError) as error:
             raise GarmentError(f"line {number} of {file} is malformed: {line.strip()!r}") from error
-    if not rows or len(scales) != 3:
+    if not found.rows or len(found.scales) != len(_SCALES):
         raise GarmentError(f"{file} is no garment: expected x_scale, y_scale, z_scale and verts")
-    triangles = _read_triangles(mesh, len(rows))
+    anchors, shares, offsets = zip(*found.rows, strict=True)
     return Garment(
         name=file.stem,
-        anchors=np.array([row[0] for row in rows], np.int32),
-        shares=np.array([row[1] for row in rows]),
-        offsets=np.array([row[2] for row in rows]),
-        scales=np.array([scales[axis] for axis in ("x_scale", "y_scale", "z_scale")]),
-        triangles=triangles,
-        hidden=np.array(hidden, np.int64),
+        anchors=np.array(anchors, np.int32),
+        shares=np.array(shares),
+        offsets=np.array(offsets),
+        scales=np.array([found.scales[axis] for axis in _SCALES]),
+        triangles=_read_triangles(file.parent / found.mesh, len(found.rows)),
+        hidden=np.array(found.hidden, np.int64),
     )
+
+
+_SCALES = ("x_scale", "y_scale", "z_scale")
+
+
+@dataclass
+class _Content:
+    """What the lines of a file say."""
+
+    mesh: str
+    scales: dict[str, list[float]] = field(default_factory=dict)
+    rows: list[tuple[list[int], list[float], list[float]]] = field(default_factory=list)
+    hidden: list[int] = field(default_factory=list)
+    section: str = ""
+
+    def add(self, words: list[str]) -> None:
+        """Add a line; ``IndexError`` or ``ValueError`` if it is malformed."""
+        key = words[0]
+        if key in _SCALES:
+            self.scales[key] = [int(words[1]), int(words[2]), float(words[3])]
+        elif key == "obj_file":
+            self.mesh = words[1]
+        elif key in ("verts", "delete_verts"):
+            self.section = key
+        elif key.lstrip("-").isdigit() and self.section == "verts":
+            self.rows.append(_anchor(words))
+        elif key.isdigit() and self.section == "delete_verts":
+            self.hidden += _ranges(words)
 
 
 def _anchor(words: list[str]) -> tuple[list[int], list[float], list[float]]:

@@ -176,26 +176,14 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
         If it is missing or malformed; the message names the file and, where one line is at
         fault, the line.
     """
-    try:
-        bvh = pybvh.read_bvh_file(file, world_up="+y")
-    except OSError as error:
-        raise MotionError(f"the clip {file} cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # pybvh raises IndexError and others on malformed text
-        raise MotionError(f"the clip {file} is malformed: {_at_line(file, error)}") from error
-    if not (np.isfinite(bvh.joint_angles).all() and np.isfinite(bvh.root_pos).all()):
-        raise MotionError(
-            f"the clip {file} is malformed: a channel holds a value that is not finite"
-        )
+    bvh = _parse(file)
     nodes = [node for node in bvh.nodes if not node.is_end_site()]
     names = tuple(bvh.joint_names)
     parents = tuple(-1 if node.parent is None else names.index(node.parent.name) for node in nodes)
     local = np.empty((*bvh.joint_angles.shape, 3))
     for bone, order in enumerate(bvh.euler_orders):
         local[:, bone] = euler_to_rotmat(bvh.joint_angles[:, bone], order)
-    rotations = local.copy()
-    for bone, parent in enumerate(parents):
-        if parent >= 0:
-            rotations[:, bone] = rotations[:, parent] @ local[:, bone]
+    rotations = _chained(local, parents)
     reliable = [b for b, name in enumerate(names) if b and not _UNRELIABLE.search(name)]
     angles_deg = np.rad2deg(np.abs(bvh.joint_angles[:, reliable])).mean(axis=(1, 2))
     t_pose = angles_deg < _T_POSE_BELOW_DEG
@@ -217,6 +205,20 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
     )
 
 
+def _parse(file: Path) -> pybvh.Bvh:
+    try:
+        bvh = pybvh.read_bvh_file(file, world_up="+y")
+    except OSError as error:
+        raise MotionError(f"the clip {file} cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # pybvh raises IndexError and others on malformed text
+        raise MotionError(f"the clip {file} is malformed: {_at_line(file, error)}") from error
+    if not (np.isfinite(bvh.joint_angles).all() and np.isfinite(bvh.root_pos).all()):
+        raise MotionError(
+            f"the clip {file} is malformed: a channel holds a value that is not finite"
+        )
+    return bvh
+
+
 def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...], list[int]]:
     """Names of the bones of a clip, first those of the file in its order, and the row of each."""
     missing = [(ours, theirs) for ours, theirs in rig.joints.items() if theirs not in names]
@@ -228,6 +230,15 @@ def _named(names: tuple[str, ...], rig: Rig, file: Path) -> tuple[tuple[str, ...
     # A joint of theirs may have the name of another one of ours.
     kept = tuple(f"{name} of the file" if name in rig.joints else name for name in names)
     return kept + tuple(rig.joints), [*range(len(names)), *map(names.index, rig.joints.values())]
+
+
+def _chained(local: NDArray[np.float64], parents: tuple[int, ...]) -> NDArray[np.float64]:
+    """World rotations ``(F, B, 3, 3)`` of bones that turn against their parents."""
+    rotations = local.copy()
+    for bone, parent in enumerate(parents):
+        if parent >= 0:
+            rotations[:, bone] = rotations[:, parent] @ local[:, bone]
+    return rotations
 
 
 def _speeds(positions: NDArray[np.float64], frame_time_s: float) -> NDArray[np.float64]:

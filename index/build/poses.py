@@ -154,24 +154,15 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
     """
     if not segments:
         raise MotionError("expected at least one segment of motion, got none")
-    names = sorted({segment.clip for segment in segments})
-    subjects = {segment.clip: segment.subject for segment in segments}
+    by_clip = sorted(segments, key=lambda segment: segment.clip)
+    subjects = {segment.clip: segment.subject for segment in by_clip}
     rig = read_rig(motion)
     clips = with_level_heads(
-        [read_clip(Path(motion) / "bvh" / f"{name}.bvh", rig) for name in names],
-        [subjects[name] for name in names],
+        [read_clip(Path(motion) / "bvh" / f"{name}.bvh", rig) for name in subjects],
+        list(subjects.values()),
     )
     actions = tuple(sorted({segment.action for segment in segments}))
-    wanted = {
-        name: np.full(len(clip.rotations), -1) for name, clip in zip(names, clips, strict=True)
-    }
-    for segment in segments:
-        if segment.end > len(wanted[segment.clip]):
-            raise MotionError(
-                f"a segment of clip {segment.clip} ends at frame {segment.end}, "
-                f"the clip has {len(wanted[segment.clip])}"
-            )
-        wanted[segment.clip][segment.start : segment.end] = actions.index(segment.action)
+    wanted = _wanted(clips, segments, actions)
     rows = [
         (number, frame, wanted[clip.name][frame])
         for number, clip in enumerate(clips)
@@ -185,6 +176,21 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
     recorded = np.full(len(frames), np.nan)
     poses = Poses(clips, clip_rows, frames, actions, action_rows, recorded)
     return poses, Dropped(sum(clip.t_poses for clip in clips), sum(clip.jumps for clip in clips))
+
+
+def _wanted(
+    clips: Sequence[Clip], segments: Sequence[Segment], actions: Sequence[str]
+) -> dict[str, NDArray[np.int64]]:
+    """Position in ``actions`` of each frame of each clip, by its name; -1 outside segments."""
+    wanted = {clip.name: np.full(len(clip.rotations), -1) for clip in clips}
+    for segment in segments:
+        if segment.end > len(wanted[segment.clip]):
+            raise MotionError(
+                f"a segment of clip {segment.clip} ends at frame {segment.end}, "
+                f"the clip has {len(wanted[segment.clip])}"
+            )
+        wanted[segment.clip][segment.start : segment.end] = actions.index(segment.action)
+    return wanted
 
 
 def joints_of(poses: Poses, avatar: Avatar) -> NDArray[np.float32]:

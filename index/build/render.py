@@ -125,6 +125,17 @@ def _bounds(
 
 
 @njit(nogil=True, cache=True)
+def _samples_between(a: float, b: float, c: float) -> tuple[int, int]:  # pragma: no cover
+    """First and last whole number between the smallest and the largest of three."""
+    # Plain comparisons: min() and max() also order NaNs, which costs a third of the time.
+    low = a if a < b else b
+    low = low if low < c else c
+    high = a if a > b else b
+    high = high if high > c else c
+    return int(np.ceil(low)), int(np.floor(high))
+
+
+@njit(nogil=True, cache=True)
 def _fill(
     plane: NDArray[np.float32],
     a: int,
@@ -139,20 +150,11 @@ def _fill(
     cx, cy = plane[c, 0], plane[c, 1]
     if cull and (bx - ax) * (cy - ay) < (by - ay) * (cx - ax):
         return
-    # Plain comparisons: min() and max() also order NaNs, which costs a third of the time.
-    top = ay if ay < by else by
-    top = top if top < cy else cy
-    bottom = ay if ay > by else by
-    bottom = bottom if bottom > cy else cy
-    left = ax if ax < bx else bx
-    left = left if left < cx else cx
-    right = ax if ax > bx else bx
-    right = right if right > cx else cx
-    first, last = int(np.ceil(top)), int(np.floor(bottom))
+    first, last = _samples_between(ay, by, cy)
+    begin, end = _samples_between(ax, bx, cx)
     # Many triangles are smaller than a sample and lie between samples.
-    if first > last or np.ceil(left) > np.floor(right):
+    if first > last or begin > end:
         return
-    begin, end = int(np.ceil(left)), int(np.floor(right))
     turn = np.float32(1.0) if (bx - ax) * (cy - ay) >= (by - ay) * (cx - ax) else np.float32(-1.0)
     for row in range(max(first, 0), min(last, fine.shape[0] - 1) + 1):
         for column in range(max(begin, 0), min(end, fine.shape[1] - 1) + 1):
