@@ -60,11 +60,9 @@ _MAX_LEVEL_THIGH_DEG, _MAX_SEATED_TRUNK_DEG, _MIN_SEAT_HEIGHT = 25.0, 20.0, 0.5
 _MIN_BENT_DEG, _MIN_BENT_LOW_DEG = 45.0, 60.0
 
 # Shares of the body's mass, lumped at joints.
-_MASSES = {
-    "pelvis": 0.25, "chest": 0.25, "head": 0.08, "left_elbow": 0.05, "right_elbow": 0.05,
-    "left_hip": 0.05, "right_hip": 0.05, "left_knee": 0.07, "right_knee": 0.07,
-    "left_ankle": 0.04, "right_ankle": 0.04,
-}  # fmt: skip
+_MASSES = {"pelvis": 0.25, "chest": 0.25, "head": 0.08}
+_LIMB_MASSES = {"elbow": 0.05, "hip": 0.05, "knee": 0.07, "ankle": 0.04}
+_MASSES |= {f"{side}_{joint}": mass for joint, mass in _LIMB_MASSES.items() for side in SIDES}
 _FEET = rows("left_ankle", "left_toe", "right_ankle", "right_toe", among=JOINT_NAMES)
 _FIRST, _SECOND = np.triu_indices(len(_FEET), 1)
 """Pairs of these points."""

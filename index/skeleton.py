@@ -346,7 +346,7 @@ def moved_in_depth(
     return moved
 
 
-_TRUNK_SHARES = (0.0, 1 / 3, 2 / 3)  # How far pelvis, spine and chest move with the shoulders.
+_TRUNK_SHARES = np.arange(3) / 3  # How far pelvis, spine and chest move with the shoulders.
 _TOES, _ANKLES = side_rows("toe"), side_rows("ankle")
 
 

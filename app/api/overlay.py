@@ -11,17 +11,26 @@ from app.estimation.results import Estimate, Person
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
 
-PEOPLE = (
-    (255, 155, 47), (95, 200, 49), (69, 122, 255), (224, 95, 224),
-    (25, 195, 224), (196, 196, 35), (138, 92, 255), (255, 123, 157),
-    (60, 221, 180), (90, 138, 201), (255, 184, 143), (208, 159, 255),
-)  # fmt: skip
-"""Colours of people (BGR) as on the debug page: bright enough for night, dark enough for snow."""
+Colour = tuple[int, int, int]
+"""Blue, green and red."""
 
-SIDE_COLOURS = {"left": (60, 138, 255), "right": (255, 157, 60), "middle": (184, 179, 159)}
-"""Colours of limbs (BGR) as on the debug page: the person's own left is orange, right blue."""
 
-OUTLINE = (255, 255, 255)
+def _bgr(colour: str) -> Colour:
+    """A colour as the debug page writes it."""
+    red, green, blue = bytes.fromhex(colour.removeprefix("#"))
+    return blue, green, red
+
+
+PEOPLE = tuple(map(_bgr, (
+    "#2f9bff", "#31c85f", "#ff7a45", "#e05fe0", "#e0c319", "#23c4c4",
+    "#ff5c8a", "#9d7bff", "#b4dd3c", "#c98a5a", "#8fb8ff", "#ff9fd0",
+)))  # fmt: skip
+"""Colours of people as on the debug page: bright enough for night, dark enough for snow."""
+
+SIDE_COLOURS = {"left": _bgr("#ff8a3c"), "right": _bgr("#3c9dff"), "middle": _bgr("#9fb3b8")}
+"""Colours of limbs as on the debug page: the person's own left is orange, right blue."""
+
+OUTLINE = _bgr("#ffffff")
 
 LEGEND = (
     ("person's left", SIDE_COLOURS["left"], False),
@@ -87,7 +96,7 @@ def _below_others(label: _Label, others: Sequence[_Label], height: int) -> _Labe
 def _draw_person(
     picture: NDArray[np.uint8],
     person: Person,
-    colour: tuple[int, int, int],
+    colour: Colour,
     keypoints: KeypointSet,
     line: int,
 ) -> None:
@@ -147,7 +156,7 @@ def write_text(
     text: str,
     corner: tuple[int, int],
     letter: int,
-    colour: tuple[int, int, int],
+    colour: Colour,
 ) -> int:
     """Write text with a dark outline into a BGR picture; return the column where it ends.
 

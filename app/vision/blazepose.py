@@ -68,8 +68,12 @@ class PoseReading:
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 """Rows, columns and channels of the feature maps: middle and last."""
 
-# Feature maps that the mask is made of.
-_MASK_SHAPES = ((128, 128, 16), (64, 64, 24), (32, 32, 32), (16, 16, 88), (8, 8, 864))
+# Feature maps that the mask is made of, each of half the size of the one before.
+_MASK_CHANNELS = (16, 24, 32, 88, 864)
+_MASK_SHAPES = [
+    (LANDMARK_PX >> halved, LANDMARK_PX >> halved, channels)
+    for halved, channels in enumerate(_MASK_CHANNELS, start=1)
+]
 
 # Points of the landmark network: the landmarks, the centre of the circle about the body, its point
 # in the direction of the head, and others. Each has x, y, z, visibility and presence.

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps
+from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
 from app.vision.kinds import kind_of
 
@@ -151,7 +151,7 @@ def reduced_grey(
         header = checked_header(data, height * width)
     except ImageError:
         return None
-    upright = header.getexif().get(_ORIENTATION, 1) == 1
+    upright = header.getexif().get(ExifTags.Base.Orientation, 1) == 1
     if header.format != "JPEG" or header.size != (width, height) or not upright:
         return None
     grey = cv2.imdecode(np.frombuffer(data, np.uint8), _REDUCED[by])
@@ -170,7 +170,7 @@ def turn_of(pixels: int) -> AbstractContextManager[object]:
     return _LARGE_ONES if pixels > _LARGE_PX else nullcontext()
 
 
-_ORIENTATION, _ON_THE_SIDE = 0x0112, (5, 6, 7, 8)  # EXIF tag, and values that swap the sides.
+_ON_THE_SIDE = (5, 6, 7, 8)  # EXIF orientations that swap the sides.
 
 
 def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
@@ -181,7 +181,7 @@ def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
     """
     header = checked_header(data, max_pixels)
     if header.format in _JPEG:
-        on_the_side = header.getexif().get(_ORIENTATION) in _ON_THE_SIDE
+        on_the_side = header.getexif().get(ExifTags.Base.Orientation) in _ON_THE_SIDE
         shape = header.size if on_the_side else header.size[::-1]
     else:
         shape = decode_pixels(data, header, cv2.IMREAD_COLOR).shape[:2]
@@ -257,8 +257,9 @@ def _sample(pixels: NDArray[Any]) -> NDArray[Any]:
     return pixels[:: min(step, height), :: min(step, width)]
 
 
-# Tags of a TIFF: where its strips or tiles begin, and their sizes.
-_STRIPS, _TILES = (273, 279), (324, 325)
+# Where strips or tiles of a TIFF begin, and their sizes.
+_STRIPS = TiffImagePlugin.STRIPOFFSETS, TiffImagePlugin.STRIPBYTECOUNTS
+_TILES = TiffImagePlugin.TILEOFFSETS, TiffImagePlugin.TILEBYTECOUNTS
 
 
 def _lost_strips(data: bytes, header: Image.Image) -> tuple[float, int]:
@@ -384,14 +385,11 @@ def is_lossy(image: Image.Image, data: bytes) -> bool:
     return image.format in _JPEG
 
 
-_BITS = 258  # Tag of a TIFF.
-
-
 def bits_of(header: Image.Image, data: bytes) -> int:
     """Bits that a grey PNG or TIFF stores for a channel."""
     if header.format == "PNG":
         return data[24]
-    bits = getattr(header, "tag_v2", {}).get(_BITS, (8,))
+    bits = getattr(header, "tag_v2", {}).get(TiffImagePlugin.BITSPERSAMPLE, (8,))
     return bits[0] if isinstance(bits, tuple) else 8
 
 

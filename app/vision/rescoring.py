@@ -23,13 +23,13 @@ PERSON_PX = 96
 """Height of a person in the windows on which the detector was trained."""
 
 _WINDOW_PX = (64, 128)
-_STRIDE = (8, 8)
+_STRIDE_PX = 8
 # Windows in which a box is scored, relative to the box.
 _BOX_SCALE = 1.06
 # Lower margins are raised to this.
 _MIN_MARGIN = -5.0
 # The score of a box is that of the best window within a stride around it.
-_SCORED_PX = (_WINDOW_PX[0] + 2 * _STRIDE[0], _WINDOW_PX[1] + 2 * _STRIDE[1])
+_SCORED_PX = tuple(side + 2 * _STRIDE_PX for side in _WINDOW_PX)
 
 
 def _people_classifier() -> cv2.HOGDescriptor:
@@ -52,7 +52,7 @@ def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     around = cv2.getRectSubPix(
         frame, (width, height), (left + (width - 1) / 2, top + (height - 1) / 2)
     ).astype(np.uint8, copy=False)
-    _, margins = _HOG.detect(resize(around, *_SCORED_PX), -10.0, _STRIDE, (0, 0))
+    _, margins = _HOG.detect(resize(around, *_SCORED_PX), -10.0, (_STRIDE_PX, _STRIDE_PX), (0, 0))
     return max(_MIN_MARGIN, float(np.max(margins)))
 
 
