@@ -113,6 +113,7 @@ def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) 
     _, shares = PostureFilter().update(0.0, votes("standing"), frame_posture, 0.0, box)
     share = sum(shares[POSTURES.index(posture)] for posture in ON_THE_GROUND)
     assert (share > 0.9) if lies else (share < 0.1)
+    assert shares.sum() == pytest.approx(1)
 
 
 def test_unreliable_frames_hardly_change_the_posture() -> None:

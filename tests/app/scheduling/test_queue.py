@@ -275,6 +275,27 @@ class TestAdmission:
         soon, late = (queue.expire(ticket).retry_after_s for ticket in (light, waiting))
         assert soon is not None and late is not None and soon < late
 
+    async def test_one_slow_frame_hardly_changes_what_is_expected(self) -> None:
+        queue, clock = one_second_each()
+        slow = queue.enqueue("a", "photograph")
+        clock.now += 2
+        queue.release(slow, worked=True)
+        queue.enqueue("a", "photograph")
+        assert queue.load() == pytest.approx(1.2 / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
+
+    async def test_what_a_frame_waits_for_depends_on_its_kind(self) -> None:
+        queue, _ = one_second_each()
+        working = queue.enqueue("a", "photograph")
+        waiting = queue.enqueue("b", "photograph")
+        # Shorter work comes first; it is not known of other kinds that they take as long.
+        queue.enqueue("c", "mask")
+        with pytest.raises(OverloadedError):
+            queue.enqueue("c", "photograph")
+        mask = queue.enqueue("d", "mask", unbounded_wait=True)
+        soon, late = (queue.expire(one).retry_after_s for one in (mask, waiting))
+        assert soon is not None and late is not None and soon <= late
+        assert working.begun.done()
+
     async def test_abandoned_work_teaches_no_duration(self) -> None:
         queue, clock = one_second_each()
         ticket = queue.enqueue("a", "photograph")
@@ -304,6 +325,20 @@ async def test_idle_time_gives_no_credit() -> None:
         (working,) = (ticket for ticket in waiting if ticket.begun.done())
         order += waiting.pop(working)[0]
     assert order in ("bibibibi", "ibibibib", "ibbibibi", "biibibib"), order
+
+
+async def test_thousands_of_callers_come_and_go() -> None:
+    """Only those whose frames wait are remembered; each is served."""
+    queue = FairQueue(1, MAX_WAIT_S)
+    waiting = queue.enqueue("first", "photograph")
+    for caller in range(1100):
+        later = queue.enqueue(caller, "photograph", unbounded_wait=True)
+        queue.release(waiting)
+        assert later.begun.done()
+        waiting = later
+    queue.enqueue("patient", "photograph", unbounded_wait=True)
+    queue.release(waiting)
+    assert queue.in_flight == 1
 
 
 async def test_a_closed_queue_begins_nothing() -> None:

@@ -15,6 +15,7 @@ from app.tracking.zones import (
     ZoneKind,
     ZoneWatch,
     contains,
+    crosses_itself,
     distance,
     has_area,
     place,
@@ -45,6 +46,15 @@ def test_corners_on_a_line_have_no_area(turn: float, shift: float, along: list[f
 @pytest.mark.parametrize("polygon", [SQUARE, ELL, SQUARE[[0, 2, 1, 3]], SQUARE / 10])
 def test_polygons_that_cross_themselves_have_an_area(polygon: NDArray[np.float64]) -> None:
     assert has_area(polygon)
+
+
+@given(turn=st.floats(0, 6.3), shift=st.floats(-1e3, 1e3), first=st.integers(0, 5))
+def test_only_polygons_whose_border_crosses_itself_are_said_to(
+    turn: float, shift: float, first: int
+) -> None:
+    turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    for polygon, crosses in ((SQUARE, False), (ELL, False), (SQUARE[[0, 2, 1, 3]], True)):
+        assert crosses_itself(np.roll(polygon @ turned + shift, first, axis=0)) == crosses
 
 
 @given(x=st.floats(0, 60), y=st.floats(0, 60))
@@ -168,4 +178,13 @@ def test_zones_are_left_where_the_track_ends_or_the_camera_loses_them() -> None:
             watch.update(7, number / FPS, [GATE], box, None)
         events = watch.end(7, 3.0, 1.0) if ends else watch.update(7, 3.0, [], box, None)
         assert crossings(events) == [("zone_left", 3.0, 1.0 if ends else 3.0)]
+        assert events[0].track_id == 7
         assert watch.end(7, 4.0, 4.0) == []
+
+
+def test_every_zone_that_is_taken_away_is_left() -> None:
+    watch, box = ZoneWatch(), Box(30, -20, 40, 100)
+    for number in range(11):
+        watch.update(7, number / FPS, [GATE, zone("door", 0, 90)], box, None)
+    left = watch.update(7, 2.0, [], box, None)
+    assert [event.zones for event in left] == [("door",), ("gate",)]
