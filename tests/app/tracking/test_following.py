@@ -322,6 +322,33 @@ def test_a_person_lost_in_a_still_scene_is_searched_for_until_the_track_ends(
     assert [box.x for box in detector.known] == pytest.approx([199.5], abs=1)
 
 
+def test_who_is_lost_behind_others_in_a_still_scene_is_searched_for_with_the_next_frame(
+    drawn: Estimator, detector: ColourDetector
+) -> None:
+    """The scene is as still as before, but not everybody is seen."""
+    people = TrackedPeopleDetector(drawn.finder)
+    both, one = (
+        drawn.decode(Upload(draw(*who)), Job()) for who in (((0, 10), (1, 200)), ((1, 200),))
+    )
+    tracks: list[Track] = []
+    for step in range(26):
+        found, _ = people.find(both, step / 10, tracks, Job())
+        found = sorted((replace(one, beside=True) for one in found), key=lambda one: one.box.x)
+        for track, person in zip(tracks, found, strict=bool(tracks)):
+            track.see(person, step / 10)
+        if not tracks:
+            tracks = [Track(person, 0.0) for person in found]
+            for number, track in enumerate(tracks):
+                track.confirm(number, 0.0, ())
+    searches = []
+    for step in (26, 27):
+        detector.searches = 0
+        people.find(one, step / 10, tracks, Job())
+        tracks[1].see(replace(found[1], beside=True), step / 10)
+        searches.append(detector.searches)
+    assert searches == [0, 1]
+
+
 def test_unconfirmed_tracks_are_searched_for_in_a_still_scene(
     drawn: Estimator, detector: ColourDetector
 ) -> None:
