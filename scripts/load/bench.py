@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -245,6 +246,7 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict
     turns = {name: itertools.cycle(case.calls) for name, case in cases.items()}
     tasks: dict[str, Task] = {"yardstick": yardstick(picture)}
     tasks |= {name: sender(client, calls, server.processor_s) for name, calls in turns.items()}
+    load = os.getloadavg()[0]
     interleaved(tasks, rounds=1)  # Warms up.
     before = processor_time()
     times = interleaved(tasks, rounds)
@@ -268,6 +270,7 @@ def benchmark(server: ServerProcess, street: Street | None, rounds: int) -> dict
             }
             for name, case in cases.items()
         },
+        "load": load,
         "stolen": float(spent[7] / max(1, spent.sum())),
         "index": {
             "name": index["name"], "entries": index["entries"], "version": index["version"][:19],

@@ -1,0 +1,36 @@
+"""Work on a frame whose time may be over before all of its people are done."""
+
+import pytest
+
+from app.scheduling.job import Job
+from tests.support.jobs import LateJob
+
+
+@pytest.mark.parametrize("in_time", range(5))
+def test_where_some_suffice_the_best_are_done_in_time(in_time: int) -> None:
+    job = LateJob(in_time)
+    job.some_suffice = True
+    done = job.map_until(0.5, lambda item: 10 * item, range(1, 5))
+    first = min(1 + in_time, 4)
+    assert done == [10, 20, 30, 40][:first] + [None] * (4 - first)
+    assert job.left_out == 4 - first
+
+
+def test_unless_some_suffice_nobody_is_left_out() -> None:
+    job = LateJob(0)
+    assert job.map_until(0.5, str, range(3)) == ["0", "1", "2"]
+    assert job.left_out == 0
+
+
+def test_a_job_without_a_deadline_is_never_late() -> None:
+    job = Job()
+    job.some_suffice = True
+    assert not job.is_late(0.01)
+    assert Job(1e6).is_late(0.0) is False
+
+
+def test_a_share_of_the_time_is_over_before_all_of_it() -> None:
+    job = Job(0.0)
+    assert not job.is_late(0.5)
+    job.some_suffice = True
+    assert job.is_late(0.5)
