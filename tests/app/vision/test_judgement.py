@@ -17,7 +17,9 @@ from app.vision.judgement import (
     PhotographModels,
     load_photograph_models,
     posture_features,
+    region_features,
     sharpened,
+    trust_features,
 )
 from app.vision.models import network_path
 from app.vision.movenet import KeypointReader
@@ -45,6 +47,80 @@ def test_left_and_right_count_alike() -> None:
 
 def test_degenerate_bodies_have_finite_numbers() -> None:
     assert np.isfinite(posture_numbers(np.zeros((33, 3)))).all()
+
+
+def landmarks(*parts: str) -> list[int]:
+    return [LANDMARK_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts]
+
+
+def test_the_numbers_of_a_body_that_stands_upright() -> None:
+    """Bones point up (1) or down (-1); heights are above the ankles, in lengths of the legs."""
+    points = np.zeros((33, 3))
+    points[0::2, 0], points[1::2, 0] = -0.1, 0.1
+    downwards = {"ear": -0.7, "shoulder": -0.5, "wrist": 0.0, "hip": 0.0, "knee": 0.4, "ankle": 0.8}
+    for part, y in downwards.items():
+        points[landmarks(part), 1] = y
+    visibility = np.full(33, 0.1)
+    for part, seen in (("knee", 0.7), ("ankle", 0.8), ("hip", 0.9)):
+        visibility[landmarks(part)[0]] = seen
+    expected = [
+        *(1, 0, -1, 0, -1, 0, 1, 0),  # Trunk, thighs, shanks and head; sines and their complements.
+        *(-1, -1, -1, -1),  # Each thigh and shank.
+        *(0, 0, 0),  # Away from the camera.
+        *(-1, -1, 1, 1),  # Hips and knees are straight.
+        *(1.5, np.log(1.55 / 0.25)),  # Higher than wide.
+        *(1, 1.625, 1, 0.5),  # Hips, shoulders, lowest wrist and knee.
+        *(np.sin(np.deg2rad(20)), np.cos(np.deg2rad(20)), 0.6, np.log(0.4), 0.7, 0.8, 0.9),
+    ]
+    assert_allclose(posture_features(points, visibility, 20.0, 0.6, 0.4), expected, atol=1e-9)
+
+
+def test_the_surroundings_of_trunk_and_legs_are_means_at_their_landmarks() -> None:
+    for part, expected in (
+        ("shoulder", [0.25, 0]), ("hip", [0.25, 0]), ("knee", [0, 0.25]), ("ankle", [0, 0.25]),
+        ("wrist", [0, 0]),
+    ):  # fmt: skip
+        for row in landmarks(part):
+            sampled = np.zeros((33, 1))
+            sampled[row] = 1
+            assert region_features(sampled).tolist() == expected
+
+
+def made_up(count: int) -> dict[str, NDArray[np.float64]]:
+    """Passes of the network over people of some size, anywhere in their windows."""
+    rng = np.random.default_rng(3)
+    points = rng.uniform(40, 220, (count, 39, 5))
+    points[..., 3:] = rng.normal(0, 3, (count, 39, 2))
+    return {
+        "points": points,
+        "world": rng.normal(0, 0.4, (count, 39, 3)),
+        "presence": rng.uniform(0.1, 0.9, count),
+        "last": rng.normal(0, 1, (count, 2, 2, 288)),
+        "sigmas": rng.uniform(0.02, 0.3, (count, 33)),
+    }
+
+
+def test_what_trust_depends_on_is_each_readings_own() -> None:
+    many = made_up(5)
+    together = trust_features(**many)
+    alone = [trust_features(**{key: value[[row]] for key, value in many.items()})[0]
+             for row in range(5)]  # fmt: skip
+    assert_allclose(together, alone)
+
+
+@pytest.mark.parametrize("part", ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"])
+@pytest.mark.parametrize("column", [3, 4])
+def test_trust_depends_on_how_surely_each_limb_is_seen_up_to_a_limit(
+    part: str, column: int
+) -> None:
+    given = made_up(1)
+    features = []
+    for log_odds in (7.0, 12.0, 20.0, -7.0, -12.0, -20.0):
+        given["points"][0, landmarks(part)[0], column] = log_odds
+        features.append(trust_features(**given)[0])
+    assert (np.abs(np.diff(features, axis=0)).max(axis=1) > 1e-4).tolist() == [
+        True, False, True, True, False
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
@@ -110,6 +186,7 @@ def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
     camera = PinholeCamera.of_frame(street.shape, 50)
     for reading in readings:
         body = models.body(reading, camera)
+        assert_allclose(models.judge(reading, camera).body.points, body.points)
         assert_allclose(
             camera.project(body.points + body.origin), reading.landmarks.positions, atol=1e-6
         )

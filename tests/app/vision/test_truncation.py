@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
@@ -17,6 +19,8 @@ from app.vision.people import (
 from app.vision.truncation import (
     attenuate_visibility_at_border,
     end_beyond_border,
+    ends_at_border,
+    extended_to_border,
     hidden_by_others,
     touches_border,
     with_truncation,
@@ -51,6 +55,26 @@ def test_silhouette_just_short_of_the_edge_is_cut_unless_from_a_mask(left: int, 
     assert not touches_border(replace(person, left=inwards[0], top=inwards[1]), (300, 300))
 
 
+sides = st.tuples(st.floats(-0.5, 199), st.floats(0.1, 150))
+
+
+@given(across=sides, down=sides)
+def test_a_box_goes_on_to_the_edges_that_are_nearer_than_a_twentieth_of_it(
+    across: tuple[float, float], down: tuple[float, float]
+) -> None:
+    inside = Box(across[0], down[0], across[1], down[1]).clip(300, 200)
+    assert inside is not None
+    reach = 0.05 * max(inside.width, inside.height)
+    whole = extended_to_border(inside, (200, 300, 3))
+    gaps = inside.x + 0.5, inside.y + 0.5, 299.5 - inside.right, 199.5 - inside.bottom
+    for side, edge, gap in zip(
+        ("x", "y", "right", "bottom"), (-0.5, -0.5, 299.5, 199.5), gaps, strict=True
+    ):
+        expected = edge if gap <= reach else getattr(inside, side)
+        assert getattr(whole, side) == pytest.approx(expected, abs=1e-9)
+    assert ends_at_border(inside, (200, 300, 3)) == (min(gaps) <= reach)
+
+
 def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:
     above, below, inside = (Box(50, y, 40, 100) for y in (3, 198, 100))
     for box, gone in ((above, HEAD), (below, FEET)):
@@ -75,6 +99,15 @@ def test_nearer_person_hides_the_farther() -> None:
     assert [one is not None and one.truncated for one in both] == [False, True]
     assert hidden_by_others(far, [near.box])
     assert with_truncation([None], [near.box], (80, 80)) == [None]
+    # Of a person without a silhouette, the box hides others, wherever in the list they are.
+    boxes = [near.box, far.box, far.box]
+    for row in (1, 2):
+        people: list[Silhouette | None] = [None, None, None]
+        people[row] = far
+        seen = with_truncation(people, boxes, (80, 80))[row]
+        assert seen is not None and seen.truncated
+    (first, _) = with_truncation([far, None], [far.box, near.box], (80, 80))
+    assert first is not None and first.truncated
 
 
 @pytest.mark.parametrize(
