@@ -335,19 +335,22 @@ class CameraSession:
     def _drop_unseen(self, frame: NDArray[np.uint8], timestamp: float) -> None:
         """End the tracks of people who are not seen any more.
 
-        People who fell lie where they were last seen until the picture changes there.
+        People who fell lie where they were last seen until the picture changes there. Nobody falls
+        by being hidden behind somebody else.
         """
         kept = []
         for track in self._tracks:
-            predicted = track.track_id is not None and (
-                self._hidden_box(track, timestamp) is not None or self._vanished(track)
-            )
+            named = track.track_id is not None
+            hidden = named and self._hidden_box(track, timestamp) is not None
+            track.hidden |= hidden
+            predicted = hidden or (named and self._vanished(track))
             longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
                 events, stays = track.lose(
                     frame,
                     timestamp,
-                    alone=self._covered(track, track.box_filter.seen, timestamp) == 0,
+                    alone=not track.hidden
+                    and self._covered(track, track.box_filter.seen, timestamp) == 0,
                 )
                 self._events += events
                 if not stays:

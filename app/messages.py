@@ -60,12 +60,7 @@ WHOLE_NUMBER = BeforeValidator(_refuse_all_but_digits)
 
 
 def expected_and_got(error: Mapping[str, Any]) -> str:
-    """Word an error of pydantic.
-
-    Parameters
-    ----------
-    error : mapping
-        An item of :meth:`pydantic.ValidationError.errors`.
+    """Word an error of pydantic, an item of :meth:`pydantic.ValidationError.errors`.
 
     Examples
     --------
@@ -124,14 +119,9 @@ def expected_name(name: str, known: Collection[str], kind: str, got: str = "") -
 
 
 def suggestion(name: str, known: Mapping[str, str]) -> str:
-    """Suggest a known name as a half-sentence, ``""`` if none is similar.
+    """Suggest a known name as a half-sentence, ``""`` if none is similar to an unknown one.
 
-    Parameters
-    ----------
-    name : str
-        The unknown name.
-    known : mapping of str to str
-        The suggestion for each known name.
+    ``known`` has what is suggested for each known name.
 
     Examples
     --------

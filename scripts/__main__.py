@@ -35,6 +35,10 @@ COMMANDS = {
         "render films of falls and daily life that a camera session reads",
     ),
     "train-falls": ("scripts.training.train_falls", "train the model of falls on simulated tracks"),
+    "train-identity": (
+        "scripts.training.train_identity",
+        "train the network of identities on rendered films",
+    ),
     "fit-people": (
         "scripts.training.fit_people",
         "fit detection scores and confidence to photographs",

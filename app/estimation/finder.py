@@ -233,9 +233,9 @@ class PeopleFinder:
             bodies = [*map(_Body, targets, self.read(frame, targets, job))]
         else:
             bodies, shows = self._bodies(frame, targets, perhaps_beside, job)
-        camera = upload.camera if landmarks else None
         with job.stage("keypoints"):
-            bodies = job.map(partial(self._look, masked=cut is None, camera=camera), bodies)
+            look = partial(self._look, masked=cut is None, camera=upload.camera)
+            bodies = job.map(look, bodies)
         by_masks = partial(
             silhouettes_of,
             [body.reading for body in bodies if body.reading],
@@ -295,15 +295,15 @@ class PeopleFinder:
             found.append(_Body(target, reading, beside=True))
         return found
 
-    def _look(self, body: _Body, *, masked: bool, camera: PinholeCamera | None) -> _Body:
-        """A body whose reading has its mask, if that is wanted, and is judged, given a camera."""
+    def _look(self, body: _Body, *, masked: bool, camera: PinholeCamera) -> _Body:
+        """A body whose reading is judged, and has its mask if that is wanted."""
         reading = body.reading
         if reading is None:
             return body
         if masked:
             reading = self.models.reader.with_mask(reading)
         judged = None
-        if camera is not None and reading.network_pass is not None:
+        if reading.network_pass is not None:
             judged = self.models.judgement.judge(reading, camera)
         return replace(body, reading=reading, judged=judged)
 
@@ -318,16 +318,12 @@ class PeopleFinder:
         visible = attenuate_visibility_at_border(reading, shape)
         if silhouette is not None and end_beyond_border(person.box, visible, shape):
             silhouette = replace(silhouette, truncated=True)
-        person = replace(
-            person,
-            silhouette=silhouette,
-            presence=reading.presence,
-            next_window=reading.next_window,
-        )
+        person = replace(person, silhouette=silhouette, next_window=reading.next_window)
+        if judged is None:
+            return replace(person, landmarks=visible if landmarks else None)
+        person = replace(person, presence=judged.trust.person)
         if not landmarks:
             return person
-        if judged is None:
-            return replace(person, landmarks=visible)
         metres = judged.body.along_sight(upload.camera, visible)
         covariance = self.models.judgement.depth.covariance(judged.body.sigmas)
         return replace(

@@ -70,11 +70,12 @@ class Person:
     Positions are in pixels of the frame. There is no detection score where the caller marked the
     people, no silhouette where none was found in a caller's box; landmarks and all that follows
     from them, ``trust`` and the frame's posture among it, are None where these were not read.
-    ``presence`` is the probability, from the landmark network, that a person is there,
-    ``next_window`` where it would look in the next frame, ``beside`` whether it saw the person only
-    while others were painted over; ``patch`` and ``colours`` ``(80,)`` are how a person who is
-    tracked looks. ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses
-    come best first; without a silhouette there are none, and neither colours, facing nor posture.
+    ``presence`` is the probability that the window in which they were read shows a person, that of
+    the trust; ``next_window`` is where the network would look in the next frame, ``beside`` whether
+    it saw the person only while others were painted over; ``patch`` and ``colours`` ``(80,)`` are
+    how a person who is tracked looks, and ``hips`` ``(3,)`` their middle, metres from the camera in
+    its axes. Hypotheses come best first; without a silhouette there are none, and neither colours,
+    facing nor posture.
     """
 
     box: Box

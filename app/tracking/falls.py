@@ -18,9 +18,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.results import Person
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.odds import sigmoid
+from app.vision.people import landmark_rows
 from app.vision.truncation import gaps_to_border
 
 MODEL = Path(__file__).parent / "models" / "falls.npz"
@@ -31,6 +33,7 @@ WINDOW_S = 3.0
 GRID_S = 0.2
 """Time between two points at which it sees it."""
 
+_HIPS = landmark_rows("hip")
 _POINTS = round(WINDOW_S / GRID_S)
 _POSTURES = len(FRAME_POSTURES)
 COLUMNS = 13 + _POSTURES
@@ -67,6 +70,21 @@ class Observation:
     right: float
     hips_y: float | None = None
     covered: float = 0.0
+
+    @classmethod
+    def of(cls, person: Person, frame_shape: tuple[int, ...], covered: float = 0.0) -> Self:
+        """What a frame shows of a person whose landmarks and posture were read."""
+        if person.frame_posture is None or person.landmarks is None:
+            raise ValueError("expected a person with landmarks and the posture of the frame")
+        presence = 1.0 if person.presence is None else person.presence
+        return cls(
+            person.box,
+            frame_shape,
+            presence * np.asarray(person.frame_posture.probabilities),
+            1.0 if person.trust is None else person.trust.right,
+            float(person.landmarks.positions[_HIPS, 1].mean()),
+            covered,
+        )
 
     def row(self) -> NDArray[np.float64]:
         """The same as numbers ``(17,)``, of which :func:`window_features` takes several."""
@@ -118,28 +136,30 @@ def window_features(
     return np.asarray(inputs.ravel(), np.float32)
 
 
+_STRIDES = (1, 2)
+"""Of the two convolutions, in points of the grid; each sees three points."""
+
+
 @dataclass(frozen=True)
 class FallModel:
-    """A network with two hidden layers.
+    """A network with two convolutions over time and a hidden layer.
 
-    Parameters
-    ----------
-    weights : tuple of arrays
-        ``(D, H)``, ``(H, G)``, ``(G, 2)``.
-    offsets : tuple of arrays
-        ``(H,)``, ``(G,)``, ``(2,)``.
+    Weights are ``(3 D, H)``, ``(3 H, G)``, ``(8 G, K)`` and ``(K, 2)`` of ``D`` inputs at each
+    point of the grid; offsets ``(H,)``, ``(G,)``, ``(K,)`` and ``(2,)``.
     """
 
     weights: tuple[NDArray[np.float32], ...]
     offsets: tuple[NDArray[np.float32], ...]
 
     def __post_init__(self) -> None:
-        sizes = [_POINTS * COLUMNS, *(len(offset) for offset in self.offsets)]
-        expected = list(pairwise(sizes))
+        sizes = [COLUMNS, *(len(offset) for offset in self.offsets)]
+        points = -(-_POINTS // np.prod(_STRIDES))
+        factors = [3, 3, int(points), 1]
+        expected = [(n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)]
         got = [weight.shape for weight in self.weights]
-        if sizes[-1] != 2 or got != expected:
+        if len(sizes) != 5 or sizes[-1] != 2 or got != expected:
             raise ValueError(
-                f"expected weights {_POINTS * COLUMNS}x...x2 of consecutive layers, got {got}"
+                f"expected weights {3 * COLUMNS}x... of two convolutions and two layers, got {got}"
             )
 
     @classmethod
@@ -155,11 +175,23 @@ class FallModel:
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Probabilities ``(..., 2)``: fell within the window and is down; the trunk is up now."""
-        values = features
-        for weight, offset in zip(self.weights[:-1], self.offsets[:-1], strict=True):
-            values = np.maximum(values @ weight + offset, 0)
-        odds = values @ self.weights[-1] + self.offsets[-1]
+        values = features.reshape(*features.shape[:-1], _POINTS, COLUMNS)
+        for layer, stride in enumerate(_STRIDES):
+            seen = _three_points(values, stride) @ self.weights[layer]
+            values = np.maximum(seen + self.offsets[layer], 0)
+        values = values.reshape(*features.shape[:-1], -1)
+        values = np.maximum(values @ self.weights[2] + self.offsets[2], 0)
+        odds = values @ self.weights[3] + self.offsets[3]
         return sigmoid(np.asarray(odds, np.float64))
+
+
+def _three_points(values: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
+    """Each point's values ``(..., P, D)`` between those of its neighbours ``(..., Q, 3 D)``."""
+    points = values.shape[-2]
+    empty = np.zeros_like(values[..., :1, :])
+    padded = np.concatenate([empty, values, empty], axis=-2)
+    parts = [padded[..., first : first + points : stride, :] for first in range(3)]
+    return np.concatenate(parts, axis=-1)
 
 
 @lru_cache(maxsize=1)
@@ -168,11 +200,12 @@ def shipped_model() -> FallModel:
     return FallModel.load()
 
 
-REPORTED_FROM = 0.8
-"""Probability from which a fall is reported, once it has been as high for :data:`CERTAIN_S`.
+REPORTED_FROM, REPORTED_LOST_FROM = 0.6, 0.7
+"""Probability from which a fall is reported, once it has been as high for :data:`CERTAIN_S`; and
+when a person is seen no more, which in crowds mostly has other reasons.
 
-On held-out simulated tracks, as many falls are found as by the rules before, with a quarter of the
-false ones in homes and fewer in crowds (docs/training.md).
+Chosen on held-out simulated tracks: no more false ones than by the network before, and more falls
+(docs/training.md).
 """
 
 CERTAIN_S = 0.4
@@ -183,31 +216,71 @@ CERTAIN_S = 0.4
 _UP_FROM, _UP_S = 0.5, 1.0
 
 
+class FallReport:
+    """Says when a fall is to be reported: once, until the person is up again.
+
+    Parameters
+    ----------
+    reported_from, lost_from : float
+        Probability from which a fall is reported; and of a person who is lost.
+    """
+
+    def __init__(
+        self, reported_from: float = REPORTED_FROM, lost_from: float = REPORTED_LOST_FROM
+    ) -> None:
+        self._reported_from, self._lost_from = reported_from, lost_from
+        self._likely_since: float | None = None
+        self._up_since: float | None = None
+        self.fallen = False
+        """Whether a fall was reported and the person was not seen to get up."""
+
+    def update(self, timestamp: float, fell: float, up: float, *, lost: bool = False) -> bool:
+        """Add the probabilities of a frame; return whether a fall is to be reported now.
+
+        At the frame in which a person is ``lost``, no second one has to confirm it.
+        """
+        self._likely_since = _since(self._likely_since, timestamp, fell >= self._reported_from)
+        self._up_since = _since(self._up_since, timestamp, up >= _UP_FROM)
+        if self._up_since is not None and timestamp - self._up_since >= _UP_S:
+            self.fallen = False
+        since = self._likely_since
+        certain = since is not None and timestamp - since >= CERTAIN_S
+        if self.fallen or not (fell >= self._lost_from if lost else certain):
+            return False
+        self.fallen = True
+        return True
+
+
 class FallWatch:
-    """Watches one track for falls; reports each once, until the person is up again."""
+    """Watches one track for falls."""
 
     def __init__(self, model: FallModel | None = None) -> None:
         self._model = shipped_model() if model is None else model
         self._seen: deque[tuple[float, NDArray[np.float64]]] = deque()
-        self._likely_since: float | None = None
-        self._up_since: float | None = None
+        self._report = FallReport()
         self.probability = 0.0
         """Probability that the person fell within the last seconds and is down."""
-        self.fallen = False
+
+    @property
+    def fallen(self) -> bool:
         """Whether a fall was reported and the person was not seen to get up."""
+        return self._report.fallen
 
     def update(self, timestamp: float, observation: Observation, *, rests: bool = False) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
 
         Nobody falls who ``rests``, in a zone for it.
         """
-        self.add(timestamp, observation.row())
-        if rests:
-            self.probability, self._likely_since = 0.0, None
-            return False
-        return self.decide(timestamp)
+        return self.see(timestamp, observation.row(), rests=rests)
 
-    def add(self, timestamp: float, row: NDArray[np.float64]) -> None:
+    def see(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
+        """The same of an observation's row ``(17,)``."""
+        self._add(timestamp, row)
+        fell, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
+        self.probability = fell
+        return self._report.update(timestamp, fell, up)
+
+    def _add(self, timestamp: float, row: NDArray[np.float64]) -> None:
         """Keep what a frame shows, and forget what the network does not see or need."""
         if len(self._seen) > 1 and timestamp - self._seen[-2][0] < GRID_S / 4:
             self._seen.pop()
@@ -216,28 +289,18 @@ class FallWatch:
         while len(self._seen) > 1 and self._seen[1][0] < timestamp - WINDOW_S:
             self._seen.popleft()
 
-    def decide(self, timestamp: float) -> bool:
-        """Whether a fall is to be reported after what was added."""
-        return self._falls(timestamp, CERTAIN_S)
-
     def lost(self, timestamp: float) -> bool:
         """Whether a person who is not seen any more fell when they were lost."""
-        return bool(self._seen) and not self.fallen and self._falls(timestamp, 0.0)
+        if not self._seen or self.fallen:
+            return False
+        self.probability, up = self._probabilities(timestamp)
+        return self._report.update(timestamp, self.probability, up, lost=True)
 
-    def _falls(self, timestamp: float, certain_s: float) -> bool:
+    def _probabilities(self, timestamp: float) -> tuple[float, float]:
         times = np.array([time for time, _ in self._seen])
         rows = np.array([row for _, row in self._seen])
         fell, up = self._model.probabilities(window_features(times, rows, timestamp)).tolist()
-        self.probability = fell
-        self._likely_since = _since(self._likely_since, timestamp, fell >= REPORTED_FROM)
-        self._up_since = _since(self._up_since, timestamp, up >= _UP_FROM)
-        if self._up_since is not None and timestamp - self._up_since >= _UP_S:
-            self.fallen = False
-        likely = self._likely_since is not None and timestamp - self._likely_since >= certain_s
-        if self.fallen or not likely:
-            return False
-        self.fallen = True
-        return True
+        return fell, up
 
 
 def _since(before: float | None, now: float, holds: bool) -> float | None:

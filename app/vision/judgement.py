@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
 from app.vision.models import network_path
-from app.vision.odds import logit, sigmoid, softmax
+from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
 from app.vision.tflite import NetworkError
@@ -27,9 +27,10 @@ from app.vision.tflite import NetworkError
 class Trust:
     """How far to trust a reading."""
 
-    person: float  # probability that the window shows a person, 0 to 1
+    # Probability that the window shows a person, 0 to 1, if before looking it is as likely as not.
+    person: float
     # Probability that it does and that at least three in four of the visible limb joints are within
-    # a fifth of the trunk of their true places, 0 to 1.
+    # a fifth of the trunk of their true places, 0 to 1, of windows as in training.
     right: float
 
 
@@ -141,6 +142,9 @@ _LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _FACE = [LANDMARK_NAMES.index("nose"), *_EARS]
 
 
+_PEOPLE_SHARE = 6 / 7  # Share of the windows in training that show a person.
+
+
 @dataclass(frozen=True)
 class TrustModel:
     """Estimates how far to trust readings.
@@ -151,14 +155,18 @@ class TrustModel:
     network: DenseNetwork
 
     def probabilities(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probabilities ``(N, 2)``: a person; a person whose landmarks are right."""
+        """Probabilities ``(N, 2)``: a person; a person whose landmarks are right.
+
+        They are those of windows as in training, which mostly show people.
+        """
         given = sigmoid(self.network(features).astype(np.float64))
         return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
 
     def estimate(self, features: NDArray[np.float64]) -> Trust:
         """Trust in one reading with features ``(F,)``."""
-        person, right = self.probabilities(features[None])[0].tolist()
-        return Trust(person, right)
+        person, right = self.probabilities(features[None])[0]
+        odds = logit(person, 1e-6) - log_odds(_PEOPLE_SHARE)
+        return Trust(probability_of(float(odds)), float(right))
 
 
 def trust_features(

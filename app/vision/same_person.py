@@ -1,8 +1,8 @@
 """Whether two finds are the same person: each case, and its limits.
 
 Two finds are compared by the best that both have: their points, a window and a box, or two boxes. A
-person of an earlier frame is compared with those of a later one by costs, which add up what place,
-size and clothes say.
+person of an earlier frame is compared with those of a later one by a small network, which weighs
+what place, size, shape, time and clothes say (``python -m scripts train-identity``).
 """
 
 from __future__ import annotations
@@ -10,13 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.appearance import colour_distance
 from app.vision.blazepose import PoseReading
+from app.vision.depth import DenseNetwork
 from app.vision.geometry import Box, PersonWindow, box_array, non_max_suppression
+from app.vision.models import network_path
+from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
 # Overlap from which two boxes of a frame show one person; two people side by side reach 0.3.
@@ -111,22 +115,11 @@ def may_be_reached(box: Box, expected: Box) -> bool:
     return box.intersection(reach) >= _MIN_SHARE_IN_REACH * box.area
 
 
-# Distances are in sizes of the person.
-# Largest distance of a person from the predicted place: at once, its growth for each second since
-# the person was seen, and its limit.
-_NEAR, _NEAR_PER_S, _FAR = 0.3, 1.0, 2.0
-# Largest ratio of two sizes of one person at once; it applies once more for each second since the
-# person was seen. A person's box shrinks within half a second in a fall towards the camera.
-_MAX_GROWTH = 1.6
-# Weights of the costs of a pair, each 0 to 1 within the limits above.
-_PLACE_WEIGHT, _OVERLAP_WEIGHT, _SIZE_WEIGHT, _COLOUR_WEIGHT = 0.4, 0.3, 0.2, 0.6
-# Cost of the colours if either are unknown.
-_UNKNOWN_COLOURS = 0.3
-# Factor of the cost of the person who was read in the window in which the known one is expected.
-_WINDOW_FACTOR = 0.5
+FEATURES = 13
+"""Numbers that compare a known person with one of a frame; see :meth:`KnownPerson.features`."""
 
-MAX_COST = 1.1
-"""At a higher cost, two people of different frames are not the same."""
+# Distances beyond so many body sizes, and times beyond so many seconds, say no more.
+_FAR, _LONG_S = 4.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -142,34 +135,53 @@ class KnownPerson:
     elapsed_s: float
     colours: NDArray[np.float32] | None
 
-    def cost(self, box: Box, colours: NDArray[np.float32] | None, *, in_window: bool) -> float:
-        """Cost of taking a person of this frame for the known one; infinite if that cannot be.
+    def may_be(self, box: Box) -> bool:
+        """Whether a box is within reach of the place where the person is expected."""
+        size = max(_size(self.predicted), _size(box))
+        return _distance(self.predicted, box) <= _FAR * size
 
-        ``in_window`` says that the person was read where the known one is expected.
+    def features(
+        self, box: Box, colours: NDArray[np.float32] | None, *, in_window: bool
+    ) -> NDArray[np.float64]:
+        """What compares the known person with one of this frame ``(13,)``.
+
+        From the predicted and from the seen box each: the distance in body sizes, the overlap and
+        the change of size; how far the lower edge moved, the change of shape, the share of the
+        smaller box in the other, the time since, the distance of the colours, whether these are
+        unknown, and whether the person was read in the window in which the known one is expected
+        (``in_window``).
         """
-        reach = min(_FAR, _NEAR + _NEAR_PER_S * self.elapsed_s)
-        away = _distance(self.predicted, box) / max(_size(self.predicted), _size(box))
-        # When a person bends quickly, the box shrinks faster than the predicted size, which is
-        # averaged over frames; the last observed box is then closer in size.
-        growth = min(_growth(self.predicted, box), _growth(self.seen, box))
-        growth /= math.log(_MAX_GROWTH) * (1 + self.elapsed_s)
-        if not in_window and (away > reach or growth > 1):
-            return math.inf
-        clothes = _UNKNOWN_COLOURS
+        size, parts = _size(box), list[float]()
+        for known in (self.predicted, self.seen):
+            away = _distance(known, box) / max(_size(known), size)
+            parts += [min(away, _FAR), known.iou(box), abs(math.log(size / _size(known)))]
+        largest = max(_size(self.seen), size)
+        apart, unknown = 0.0, 1.0
         if self.colours is not None and colours is not None:
-            clothes = colour_distance(self.colours, colours)
-        cost = (
-            _PLACE_WEIGHT * min(1.0, away / reach)
-            + _OVERLAP_WEIGHT * (1 - self.predicted.iou(box))
-            + _SIZE_WEIGHT * min(1.0, growth)
-            + _COLOUR_WEIGHT * clothes
+            apart, unknown = colour_distance(self.colours, colours), 0.0
+        return np.array(
+            [
+                *parts,
+                min(abs(box.bottom - self.seen.bottom) / largest, _FAR),
+                abs(math.log(box.width / box.height * self.seen.height / self.seen.width)),
+                self.seen.intersection(box) / min(self.seen.area, box.area),
+                min(self.elapsed_s, _LONG_S),
+                apart,
+                unknown,
+                float(in_window),
+            ]
         )
-        return _WINDOW_FACTOR * cost if in_window else cost
 
 
-def _growth(before: Box, after: Box) -> float:
-    """Absolute log ratio of the sizes of two boxes."""
-    return abs(math.log(_size(after) / _size(before)))
+def same_probabilities(features: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Probability ``(N,)`` that two people of different frames are one, of their features."""
+    return sigmoid(_identity_network()(features)[:, 0].astype(np.float64))
+
+
+@cache
+def _identity_network() -> DenseNetwork:
+    with np.load(network_path("identity")) as stored:
+        return DenseNetwork.of(dict(stored), "identity")
 
 
 def _size(box: Box) -> float:

@@ -87,6 +87,8 @@ class Eyes:
         for number, file in enumerate(sorted(folder.glob("film-*.npz"))):
             with np.load(file) as arrays:
                 rows = arrays["rows"]
+            if not len(rows):
+                continue
             keep = _in_view(rows)
             parts.append(np.concatenate([np.full((keep.sum(), 1), 2 * number), rows[keep]], axis=1))
         rows = np.concatenate(parts)

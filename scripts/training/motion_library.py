@@ -17,13 +17,21 @@ from scripts.training.motions import Motion, Motions
 RATE = 15
 """Frames a second that are kept."""
 
-COUNTS = {"fall": (240, 100), "daily": (180, 80), "recorded": (140, 60)}
+COUNTS = {"fall": (500, 160), "daily": (400, 160), "recorded": (300, 120)}
 """Motions by kind, of training and of held-out subjects."""
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
 _ANKLES = [JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]
 # Cosine of the tilt, and height of the neck over the feet, of a trunk that is up.
 _UPRIGHT, _NECK_M = 0.64, 0.7
+
+
+def trunk_is_up(joints: NDArray[np.floating], heights: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Whether trunks are up, of joints ``(..., 24, 3)`` and their heights ``(..., 24)``, metres."""
+    trunk = np.linalg.norm(joints[..., _NECK, :] - joints[..., _PELVIS, :], axis=-1)
+    rise = heights[..., _NECK] - heights[..., _PELVIS]
+    lift = heights[..., _NECK] - heights[..., _ANKLES].min(axis=-1)
+    return np.asarray((rise > _UPRIGHT * trunk) & (lift > _NECK_M))
 
 
 @dataclass(frozen=True)
@@ -65,12 +73,8 @@ class Library:
         times = np.array(
             [[np.inf if v is None else v / 30 for v in (m.falls, m.down)] for m in made]
         )
-        trunk = joints[:, :, _NECK] - joints[:, :, _PELVIS]
-        upright = trunk[..., 1] / np.linalg.norm(trunk, axis=-1) > _UPRIGHT
-        high = joints[:, :, _NECK, 1] - joints[:, :, _ANKLES, 1].min(axis=-1) > _NECK_M
-        return cls(
-            joints, np.array([m.kind for m in made]), times[:, 0], times[:, 1], upright & high
-        )
+        up = trunk_is_up(joints, joints[..., 1])
+        return cls(joints, np.array([m.kind for m in made]), times[:, 0], times[:, 1], up)
 
     def save(self, file: Path) -> None:
         """Write all arrays."""

@@ -45,6 +45,8 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
     "sits": ("seat", (("standing", 1, 3), ("sitting", 0.5, 2), ("sitting", 1, 4))),
     "stands-up": ("seat", (("sitting", 1, 3), ("standing", 0.8, 2), ("standing", 1, 4))),
     "lies-on-bed": ("bed", (("standing", 1, 2), ("sitting", 0.6, 1.5), ("lying", 1, 3))),
+    "drops-into-seat": ("seat", (("standing", 1, 3), ("sitting", 0.35, 0.7), ("sitting", 1, 4))),
+    "drops-onto-bed": ("bed", (("standing", 1, 3), ("lying", 0.7, 1.5), ("lying", 1, 3))),
     "in-bed": ("bed", (("lying", 1, 4), ("lying", 1, 3), ("lying", 1, 3))),
     "sits-up-in-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 3), ("lying", 1, 3))),
     "leaves-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 2), ("standing", 1, 2))),
@@ -233,7 +235,11 @@ class Motions:
             else:
                 kinds = ("picks-up", "stands-up", "gets-up")
                 before = self.daily(generator, str(generator.choice(kinds)))
-            clip, rotations, positions = before.clip, before.rotations, before.positions
+            count = round(before_s * FPS)
+            latest = max(count, round(generator.uniform(2.5, 5.5) * FPS))
+            last = min(len(before.rotations), latest)
+            clip, some = before.clip, slice(last - count, last)
+            rotations, positions = before.rotations[some], before.positions[some]
         start = Clip(**{**vars(clip), "rotations": rotations[-2:], "positions": positions[-2:]})
         fall = fall_from(start, 1, kind, generator)
         if not fall.ends_down or fall.down >= len(fall.positions):

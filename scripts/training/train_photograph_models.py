@@ -191,9 +191,13 @@ def trust_report(held: TrainingRows, given: NDArray[np.float64], rows: NDArray[n
     """How well people and right landmarks are distinguished from others."""
     parts = []
     for name, column, truth in (("person", 0, held.person[rows]), ("right", 1, held.right[rows])):
-        area, own = (roc_auc_score(truth, by[rows]) for by in (given[:, column], held.presence))
-        error = expected_calibration_error(given[rows, column], truth)
-        parts.append(f"{name}: AUC {area:.3f} (the network's presence {own:.3f}), ECE {error:.3f}")
+        by = given[rows, column], held.presence[rows]
+        area, own = (roc_auc_score(truth, one) for one in by)
+        error, own_error = (expected_calibration_error(one, truth) for one in by)
+        parts.append(
+            f"{name}: AUC {area:.3f} (the network's presence {own:.3f}), "
+            f"ECE {error:.3f} ({own_error:.3f})"
+        )
     return "; ".join(parts)
 
 

@@ -21,6 +21,7 @@ from tests.app.painted import KnownReader, detected, painted, unseen
 SHAPE = (240, 320, 3)
 LEFT, RIGHT = Box(40, 30, 60, 160), Box(200, 30, 60, 160)
 BODIES = painted(LEFT), painted(RIGHT)
+WINDOW = PersonWindow(72, 110, 200)
 NEARLY = Box(43, 30, 60, 160)
 """Another detector's box of the person on the left."""
 
@@ -57,12 +58,11 @@ def followed(box: Box, expected: PersonWindow | PoseReading) -> Target:
 
 
 def test_people_are_seen_with_what_their_readings_show() -> None:
-    reader = KnownReader({LEFT: BODIES[0], RIGHT: unseen(BODIES[1], 0.4)})
+    reader = KnownReader({LEFT: BODIES[0], RIGHT: BODIES[1]})
     targets = [Target(detected(BODIES[0], LEFT)), Target(Detection(RIGHT, 0.6))]
     people, shown = observed(reader, targets)
     assert shown == [0, 1]
     assert [(one.box, one.detection_score) for one in people] == [(LEFT, 0.9), (RIGHT, 0.6)]
-    assert [one.presence for one in people] == [1.0, 0.4]
     for one, body in zip(people, BODIES, strict=True):
         assert one.landmarks == body.landmarks and one.next_window == body.next_window
         assert one.silhouette is not None and not one.silhouette.truncated
@@ -138,11 +138,11 @@ def test_who_is_followed_is_seen_about_the_landmarks() -> None:
 
 def test_a_detection_has_the_body_that_windows_of_tracks_show() -> None:
     """Even if its reading fits less; a track's window then leads to its person."""
-    reader = KnownReader({LEFT: unseen(BODIES[0], 0.6)})
+    reader = KnownReader({LEFT: replace(BODIES[0], next_window=WINDOW)})
     targets = [followed(RIGHT, BODIES[0]), Target(detected(BODIES[0], LEFT, x=30.0)),
                followed(LEFT, BODIES[0])]  # fmt: skip
     ((person,), shown) = observed(reader, targets)
-    assert person.presence == 0.6 and person.box == LEFT
+    assert person.next_window == WINDOW and person.box == LEFT
     assert shown == [0, 0, 0]
 
 
@@ -181,7 +181,7 @@ def test_nobody_is_read_where_neither_landmarks_nor_masks_are_wanted() -> None:
         cut=lambda boxes: [None for _ in boxes],
         source="mask",
     )
-    assert [one.presence for one in people] == [None]
+    assert [one.next_window for one in people] == [None]
 
 
 @pytest.mark.parametrize("sees_feet", [True, False])

@@ -102,7 +102,7 @@ def test_a_person_who_is_lost_while_falling_fell_and_one_who_walks_out_did_not()
                 share, now = (frame + 1) / round(5 * seconds), now + 0.2
                 posture = (1 - share) * before + share * after
                 assert not watch.update(now, seen(mixed(start, end, share), posture))
-        return watch.lost(now + 1.0)
+        return watch.lost(now + 2.0)  # As long as sessions look for who vanished.
 
     assert lost([(UPRIGHT, STANDS, 3.0), (DOWN, LIES, 0.8)])
     assert not lost([(UPRIGHT, STANDS, 3.0), (Box(570, 150, 70, 200), STANDS, 2.0)])
@@ -123,8 +123,7 @@ def tracks() -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
 def alarms(times: NDArray[np.float64], rows: NDArray[np.float64]) -> Iterator[float]:
     watch = FallWatch()
     for time, row in zip(times.tolist(), rows, strict=True):
-        watch.add(time, row)
-        if watch.decide(time):
+        if watch.see(time, row):
             yield time
 
 
@@ -179,7 +178,7 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
 def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
     model = shipped_model()
     assert MODEL.stat().st_size < 100_000
-    assert sum(map(np.size, model.weights)) < 20_000
+    assert sum(map(np.size, model.weights)) < 30_000
     wrong = tuple(weight[: COLUMNS + 1] for weight in model.weights)
-    with pytest.raises(ValueError, match="expected weights 285x"):
+    with pytest.raises(ValueError, match="expected weights 57x"):
         FallModel(wrong, model.offsets)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
@@ -14,12 +15,14 @@ from app.vision.same_person import (
     KnownPerson,
     first_of_body,
     may_be_reached,
+    same_probabilities,
     shows,
     tell_apart,
 )
 from tests.app.painted import detected, painted
 
 BODY_PX = 80.0
+Array = NDArray[np.float64]
 
 
 def reading(x: float, y: float = 0.0) -> PoseReading:
@@ -92,30 +95,33 @@ def test_another_detector_shows_a_person_by_the_window_if_it_has_one() -> None:
     assert not shows(Detection(elsewhere, 0.5), person)
 
 
+def probabilities(known: KnownPerson, boxes: list[Box], *, in_window: bool = False) -> Array:
+    features = [known.features(box, None, in_window=in_window) for box in boxes]
+    return same_probabilities(np.array(features))
+
+
+HERE = Box(100, 50, 40, 100)
+
+
 def test_the_farther_a_person_is_from_the_known_one_the_less_likely_are_they_the_same() -> None:
-    here = Box(100, 50, 40, 100)
-    soon, later = (KnownPerson(here, here, elapsed_s, None) for elapsed_s in (0.1, 1.0))
-    away = [replace(here, x=100.0 + step) for step in range(0, 41, 4)]
-    costs, later_costs = (
-        np.array([known.cost(box, None, in_window=False) for box in away])
-        for known in (soon, later)
-    )
-    assert (np.diff(costs) > 0).all() and np.isfinite(costs).all()
+    soon, later = (KnownPerson(HERE, HERE, elapsed_s, None) for elapsed_s in (0.2, 1.5))
+    away = [replace(HERE, x=100.0 + step) for step in range(0, 161, 20)]
+    said = probabilities(soon, away)
+    assert (np.diff(said) < 0.01).all() and said[0] > 0.8 and said[-1] < 0.05
     # A person who has had the time to walk may be there.
-    assert (later_costs[1:] < costs[1:]).all()
-    assert costs[0] == later_costs[0] == pytest.approx(0.18)  # Unknown colours alone.
-    beyond = replace(here, x=141.0)
-    assert soon.cost(beyond, None, in_window=False) == np.inf
-    assert soon.cost(beyond, None, in_window=True) < later.cost(beyond, None, in_window=False)
+    assert (probabilities(later, away[4:]) > said[4:]).all()
+    assert (probabilities(soon, away, in_window=True) > said).all()
 
 
-def test_people_grow_and_shrink_gradually_unless_their_window_shows_them() -> None:
-    here = Box(100, 50, 40, 100)
-    known = KnownPerson(here, here, 0.1, None)
-    heights = (100, 110, 130, 160)
-    costs = [known.cost(Box(100, 50, 40, height), None, in_window=False) for height in heights]
-    assert (np.diff(costs) > 0).all() and costs[-1] < np.inf
-    assert known.cost(Box(100, 50, 40, 180), None, in_window=False) == np.inf
-    # Compared with what was expected or with what was last seen, whichever is nearer.
-    seen = KnownPerson(here, Box(100, 50, 40, 170), 0.1, None)
-    assert seen.cost(Box(100, 50, 40, 180), None, in_window=False) < np.inf
+def test_people_grow_and_shrink_gradually() -> None:
+    known = KnownPerson(HERE, HERE, 0.2, None)
+    boxes = [Box(100, 150 - height, 40, height) for height in (100, 130, 170, 220, 300)]
+    said = probabilities(known, boxes)
+    assert (np.diff(said) < 0).all()
+
+
+def test_nobody_is_compared_from_far_away_and_a_mirror_changes_nothing() -> None:
+    known = KnownPerson(HERE, HERE, 0.2, None)
+    assert known.may_be(replace(HERE, x=300.0)) and not known.may_be(replace(HERE, x=700.0))
+    left, right = (replace(HERE, x=100.0 + step, width=50) for step in (-45, 35))
+    np.testing.assert_allclose(*(probabilities(known, [box]) for box in (left, right)))
