@@ -349,8 +349,7 @@ class CameraSession:
                 events, stays = track.lose(
                     frame,
                     timestamp,
-                    alone=not track.hidden
-                    and self._covered(track, track.box_filter.seen, timestamp) == 0,
+                    alone=self._covered(track, track.box_filter.seen, timestamp) == 0,
                 )
                 self._events += events
                 if not stays:

@@ -228,12 +228,12 @@ class Track:
 
         It does where the person fell, and the picture still shows the same at their place. A person
         does not fall by being lost where another tracked person is seen, who may be the same or
-        hide them: ``alone`` says that none is.
+        hide them: ``alone`` says that none is. Nor does who was hidden since they were seen.
         """
         if self.track_id is None:
             return [], False
         events: list[Event] = []
-        if alone:
+        if alone and not self.hidden:
             fell = self._event_detector.lost(self.track_id, timestamp)
             events += map(self._annotated, fell)
         if events:

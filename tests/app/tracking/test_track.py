@@ -154,7 +154,8 @@ def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful:
     assert share == pytest.approx(1 - kept, abs=0.02)
 
 
-def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
+def falling_unseen() -> tuple[Track, NDArray[np.uint8]]:
+    """The track of a person who falls within 4.6 s, not yet reported, and the picture then."""
     stands, lies = Box(300, 150, 70, 200), Box(240, 290, 190, 65)
     frame = np.zeros((*FRAME, 3), np.uint8)
     frame[290:355, 240:430] = 200
@@ -173,13 +174,32 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
         track.see(person, number / 5)
         _, events = track.update(person, number / 5, frame_shape=FRAME)
         assert "fell" not in {event.event for event in events}
+    return track, frame
+
+
+def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
+    track, frame = falling_unseen()
     (fell,), stays = track.lose(frame, 5.6)
     assert (fell.event, fell.lost, stays) == ("fell", True, True)
     assert fell.probability > 0.8
     assert track.lose(frame, 9.0) == ([], True)
-    assert track.lies_at == lies
+    assert track.lies_at == Box(240, 290, 190, 65)
     (left,), stays = track.lose(frame[::-1].copy(), 10.0)
     assert (left.event, stays) == ("left", False)
+
+
+def test_nobody_falls_by_being_lost_behind_somebody_else() -> None:
+    track, frame = falling_unseen()
+    track.hidden = True
+    events, stays = track.lose(frame, 5.6)
+    assert ([event.event for event in events], stays) == (["left"], False)
+    track, frame = falling_unseen()
+    events, _ = track.lose(frame, 5.6, alone=False)
+    assert [event.event for event in events] == ["left"]
+    # Who is seen again is not hidden any more.
+    track.hidden = True
+    track.see(at(100), 6.0)
+    assert not track.hidden
 
 
 def test_only_a_confirmed_track_has_results() -> None:
