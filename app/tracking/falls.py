@@ -291,7 +291,7 @@ class FallWatch:
 
     def lost(self, timestamp: float) -> bool:
         """Whether a person who is not seen any more fell when they were lost."""
-        if not self._seen or self.fallen:
+        if not self._seen:
             return False
         self.probability, up = self._probabilities(timestamp)
         return self._report.update(timestamp, self.probability, up, lost=True)

@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.estimation.results import Person
 from app.tracking.falls import (
     COLUMNS,
     MODEL,
     WINDOW_S,
     FallModel,
+    FallReport,
     FallWatch,
     Observation,
     shipped_model,
     window_features,
 )
 from app.vision.geometry import Box
+from app.vision.judgement import FramePosture, Trust
+from app.vision.people import Landmarks
 
 TRACKS = Path(__file__).parents[2] / "data" / "fall_tracks.npz"
 """Held-out tracks that ``python -m scripts train-falls --examples`` wrote, 15 frames a second."""
@@ -107,6 +111,31 @@ def test_a_person_who_is_lost_while_falling_fell_and_one_who_walks_out_did_not()
     assert lost([(UPRIGHT, STANDS, 3.0), (DOWN, LIES, 0.8)])
     assert not lost([(UPRIGHT, STANDS, 3.0), (Box(570, 150, 70, 200), STANDS, 2.0)])
     assert not lost([(UPRIGHT, STANDS, 3.0)])
+
+
+def test_a_person_who_is_lost_needs_a_higher_probability_but_no_second_frame() -> None:
+    report = FallReport(reported_from=0.6, lost_from=0.7)
+    assert not report.update(0.0, 0.65, 0.0)
+    assert not report.update(0.2, 0.65, 0.0, lost=True)
+    assert report.update(0.3, 0.75, 0.0, lost=True)
+    assert not report.update(0.4, 0.99, 0.0, lost=True)  # Only once.
+    seen_twice = FallReport(reported_from=0.6, lost_from=0.7)
+    assert [seen_twice.update(time, 0.65, 0.0) for time in (0.0, 0.2, 0.4)] == [False, False, True]
+
+
+def test_the_posture_of_who_is_perhaps_nobody_counts_less() -> None:
+    """The shares sum to the probability that somebody is there."""
+    points = np.full((33, 2), 50.0)
+    person = Person(
+        UPRIGHT, "detector", 0.9, presence=0.4, trust=Trust(0.4, 0.2),
+        landmarks=Landmarks(points, np.ones(33), np.zeros((33, 3))),
+        frame_posture=FramePosture(STANDS),
+    )  # fmt: skip
+    row = Observation.of(person, FRAME, 0.3).row()
+    assert row[5:11] == pytest.approx(0.4 * STANDS)
+    assert (row[4], row[11], row[12]) == (50, 0.2, 0.3)
+    with pytest.raises(ValueError, match="expected a person with landmarks"):
+        Observation.of(Person(UPRIGHT, "detector", 0.9), FRAME)
 
 
 @pytest.fixture(scope="module")
