@@ -335,8 +335,8 @@ class CameraSession:
     def _drop_unseen(self, frame: NDArray[np.uint8], timestamp: float) -> None:
         """End the tracks of people who are not seen any more.
 
-        People who fell lie where they were last seen until the picture changes there. Nobody falls
-        by being hidden behind somebody else.
+        People who fell lie where they were last seen until the picture changes there. A person
+        who is hidden behind another one is not reported as fallen.
         """
         kept = []
         for track in self._tracks:

@@ -102,7 +102,7 @@ class Job:
     def map_until(
         self, share: float, function: Callable[[Item], Result], items: Iterable[Item]
     ) -> list[Result | None]:
-        """The same for people, the best first, none of whom begins after a share of the time.
+        """The same for people, the best first; no call begins after this share of the time.
 
         None stands for those left out; the first never is. Unless some suffice, none are.
         """

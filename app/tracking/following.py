@@ -122,7 +122,7 @@ class TrackedPeopleDetector:
         return self._searched(frame, timestamp, expected, lost, job)
 
     def _interval(self, timestamp: float, is_tracked: bool, is_still: bool) -> float:
-        """Time from one search to the next; none where somebody enters an empty scene."""
+        """Time from one search to the next; 0 while a person enters an empty scene."""
         if is_still:
             return STILL_SEARCH_EVERY_S if is_tracked else EMPTY_SEARCH_EVERY_S
         enters = not is_tracked and self._scene.has_just_changed(timestamp)

@@ -228,7 +228,7 @@ class Track:
 
         It does where the person fell, and the picture still shows the same at their place. A person
         does not fall by being lost where another tracked person is seen, who may be the same or
-        hide them: ``alone`` says that none is. Nor does who was hidden since they were seen.
+        hide them: ``alone`` says that none is. Nor does a person who was hidden since then.
         """
         if self.track_id is None:
             return [], False
@@ -368,10 +368,9 @@ def associate(
     if not pairs:
         return [None] * len(people)
     costs = np.full((len(tracks), len(people)), 10 * _MAX_COST)
-    costs[tuple(np.transpose(pairs))] = -np.log(same_probabilities(np.array(features)) + 1e-12)
-    _, _, rows = lap.lapjv(
-        np.minimum(costs, 10 * _MAX_COST), extend_cost=True, cost_limit=_MAX_COST
-    )
+    found = -np.log(same_probabilities(np.array(features)))
+    costs[tuple(np.transpose(pairs))] = np.minimum(found, 10 * _MAX_COST)
+    _, _, rows = lap.lapjv(costs, extend_cost=True, cost_limit=_MAX_COST)
     return [tracks[row] if row >= 0 else None for row in rows]
 
 

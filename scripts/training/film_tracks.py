@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from scripts.training.fall_tracks import Track
 from scripts.training.motion_library import trunk_is_up
-
-_RATE = 5  # Frames a second of films.
+from scripts.training.render_films import RATE
 
 
 def film_tracks(folder: Path) -> Iterator[Track]:
@@ -31,7 +30,7 @@ def film_tracks(folder: Path) -> Iterator[Track]:
             lost_at = next((float(row[1]) for row in left if row[0] == identity), None)
             alone = lost_at is None or not _meets(tracks, own, lost_at)
             is_up = np.array([up.get((int(row[0]), person), False) for row in own], bool)
-            yield Track(own[:, 0] / _RATE, own[:, 3:], falls, down, is_up, lost_at, alone)
+            yield Track(own[:, 0] / RATE, own[:, 3:], falls, down, is_up, lost_at, alone)
 
 
 def _with_trunks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -44,8 +43,8 @@ def _with_trunks(rows: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _meets(tracks: NDArray[np.float64], own: NDArray[np.float64], lost_at: float) -> bool:
-    """Whether somebody else is seen, when a person is let go, where they were seen last."""
-    others = tracks[(tracks[:, 1] != own[0, 1]) & (tracks[:, 0] == round(lost_at * _RATE))]
+    """Whether another person is seen where one was seen last, when their track ends."""
+    others = tracks[(tracks[:, 1] != own[0, 1]) & (tracks[:, 0] == round(lost_at * RATE))]
     low = np.maximum(others[:, 3:5], own[-1, 3:5])
     high = np.minimum(others[:, 5:7], own[-1, 5:7])
     return bool((high > low).all(axis=1).any())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,16 +65,11 @@ def recorded_pairs() -> Iterator[Pairs]:
     """Record what camera sessions compare meanwhile."""
     pairs = Pairs()
 
-    def recording(
-        tracks: Sequence[Track],
-        people: Sequence[Person],
-        timestamp: float,
-        in_window: Mapping[int, Track] | None = None,
-    ) -> list[Track | None]:
-        pairs.add(tracks, people, timestamp, in_window)
-        return associate(tracks, people, timestamp, in_window)
+    def recording(*given: Any) -> list[Track | None]:
+        pairs.add(*given)
+        return associate(*given)
 
-    camera.associate = recording  # type: ignore[attr-defined]
+    camera.associate = recording  # type: ignore[attr-defined, assignment]
     try:
         yield pairs
     finally:

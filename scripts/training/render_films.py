@@ -253,7 +253,7 @@ def _companion(
     materials: Materials,
     generator: Generator,
 ) -> Actor:
-    """Somebody else who walks or stands about."""
+    """Another person, who walks or stands nearby."""
     walk = motions.recorded(generator, walks=bool(generator.random() < 0.7))
     other = Actor.of(people[int(generator.integers(len(people)))], walk, materials, generator)
     turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]

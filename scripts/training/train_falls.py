@@ -65,6 +65,12 @@ def simulated(
         yield from tracks_of(scene, library, eyes, generator)
 
 
+def window_at(track: Track, row: int, now: float) -> NDArray[np.float32]:
+    """Inputs of the network at a time, of a track up to a row."""
+    first = max(0, int(np.searchsorted(track.times, now - WINDOW_S)) - 1)
+    return window_features(track.times[first : row + 1], track.rows[first : row + 1], now)
+
+
 def windows_of(tracks: Iterator[Track], weight: float = 1.0) -> Windows:
     """Windows of all moments of tracks, at least :data:`STEP_S` apart, and when they were lost."""
     inputs, targets, weights = [], [], []
@@ -80,9 +86,7 @@ def windows_of(tracks: Iterator[Track], weight: float = 1.0) -> Windows:
             fell, counts = _label(track, now, lost)
             if not counts and lost:
                 continue
-            first = max(0, int(np.searchsorted(track.times, now - WINDOW_S)) - 1)
-            part = slice(first, row + 1)
-            inputs.append(window_features(track.times[part], track.rows[part], now))
+            inputs.append(window_at(track, row, now))
             targets.append((fell, track.up[row]))
             weights.append((weight * counts, 0.0 if lost else weight))
     return Windows(*(np.array(part, np.float32) for part in (inputs, targets, weights)))
@@ -181,17 +185,11 @@ def recorded(model: FallModel, tracks: Iterator[Track]) -> list[Record]:
     """What the network says of tracks."""
     records = []
     for track in tracks:
-        times, rows = track.times, track.rows
-        begin = np.maximum(np.searchsorted(times, times - WINDOW_S) - 1, 0)
-        windows = [
-            window_features(times[first : row + 1], rows[first : row + 1], float(times[row]))
-            for row, first in enumerate(begin)
-        ]
+        times = track.times.tolist()
+        windows = [window_at(track, row, time) for row, time in enumerate(times)]
         lost = None
         if track.lost_at is not None and track.alone:
-            first = max(0, int(np.searchsorted(times, track.lost_at - WINDOW_S)) - 1)
-            window = window_features(times[first:], rows[first:], track.lost_at)
-            lost = model.probabilities(window)
+            lost = model.probabilities(window_at(track, len(times) - 1, track.lost_at))
         records.append(Record(track, model.probabilities(np.array(windows)), lost))
     return records
 

@@ -123,8 +123,8 @@ def test_a_person_who_is_lost_needs_a_higher_probability_but_no_second_frame() -
     assert [seen_twice.update(time, 0.65, 0.0) for time in (0.0, 0.2, 0.4)] == [False, False, True]
 
 
-def test_the_posture_of_who_is_perhaps_nobody_counts_less() -> None:
-    """The shares sum to the probability that somebody is there."""
+def test_postures_of_a_doubtful_person_count_less() -> None:
+    """Their shares sum to the probability that the window shows a person."""
     points = np.full((33, 2), 50.0)
     person = Person(
         UPRIGHT, "detector", 0.9, presence=0.4, trust=Trust(0.4, 0.2),

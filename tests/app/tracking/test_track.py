@@ -188,7 +188,7 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
     assert (left.event, stays) == ("left", False)
 
 
-def test_nobody_falls_by_being_lost_behind_somebody_else() -> None:
+def test_a_person_who_is_lost_behind_another_one_is_not_reported_as_fallen() -> None:
     track, frame = falling_unseen()
     track.hidden = True
     events, stays = track.lose(frame, 5.6)
@@ -196,7 +196,7 @@ def test_nobody_falls_by_being_lost_behind_somebody_else() -> None:
     track, frame = falling_unseen()
     events, _ = track.lose(frame, 5.6, alone=False)
     assert [event.event for event in events] == ["left"]
-    # Who is seen again is not hidden any more.
+    # A person who is seen again is not hidden any more.
     track.hidden = True
     track.see(at(100), 6.0)
     assert not track.hidden
