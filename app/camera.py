@@ -17,6 +17,7 @@ from app.scheduling.job import Job
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
+from app.tracking.view import View
 from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
 from app.vision.appearance import Patch, colours_of
@@ -91,6 +92,7 @@ class CameraSession:
         self._estimator = estimator
         self._clock = clock
         self._detector = TrackedPeopleDetector(estimator.finder)
+        self._view = View()
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -148,6 +150,7 @@ class CameraSession:
         timestamp = self._time_of(timestamp, arrived)
         empty = self._still_empty(upload, timestamp, evidence, job)
         if empty is not None:
+            self._watch(timestamp, empty.shape)
             return self._answered(empty.shown(zones), timestamp, arrived, (), job)
         decoded = self._estimator.decode(upload, job)
         frame, rectification = decoded.frame, decoded.rectification
@@ -211,10 +214,11 @@ class CameraSession:
         self._frames += 1
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
+        obstructed: tuple[ImageWarning, ...] = ("obstructed",) if self._view.obstructed else ()
         return TrackedFrame(
             frame=shown.frame,
             camera=shown.camera,
-            warnings=shown.warnings,
+            warnings=(*shown.warnings, *obstructed),
             frame_index=self._frames - 1,
             timestamp=timestamp,
             session="new" if self._frames == 1 else "warm",
@@ -226,7 +230,8 @@ class CameraSession:
 
     def unconfirmed(self) -> list[Event]:
         """Events that had begun to show at the last frame but were not certain."""
-        return [event for track in self._tracks for event in track.unconfirmed()]
+        of_people = (event for track in self._tracks for event in track.unconfirmed())
+        return [*of_people, *self._view.unconfirmed()]
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
         if timestamp is None:
@@ -274,8 +279,19 @@ class CameraSession:
         shown = decoded.mask, decoded.boxes, decoded.background
         reads = decoded.has_frame and evidence == "photograph"
         if reads and all(one is None for one in shown):
-            return self._detector.find(decoded, timestamp, self._tracks, job)
+            people, in_window = self._detector.find(decoded, timestamp, self._tracks, job)
+            self._watch(timestamp, decoded.frame.shape, people)
+            return people, in_window
         return self._estimator.finder.find(decoded, evidence, job), {}
+
+    def _watch(
+        self, timestamp: float, shape: tuple[int, ...], people: Sequence[Person] = ()
+    ) -> None:
+        """Watch whether people or anything else hide the view of frames of this shape."""
+        grey = self._detector.grey
+        if grey is not None:
+            places = [one.box.scaled(grey.shape[0] / shape[0]) for one in people]
+            self._events += self._view.update(timestamp, grey, places)
 
     def _named_by_caller(
         self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float

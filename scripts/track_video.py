@@ -63,8 +63,11 @@ class Annotator:
         ]
         for line, event in enumerate(reversed(self._events)):
             corner = (letter, picture.shape[0] - letter - line * 3 * letter // 2)
-            text = f"{event.track_id} {event.event}" + " ended" * (event.state == "end")
-            write_text(picture, text, corner, letter, _colour(event.track_id))
+            who, colour = ("camera", _WHITE)
+            if event.track_id is not None:
+                who, colour = str(event.track_id), _colour(event.track_id)
+            text = f"{who} {event.event}" + " ended" * (event.state == "end")
+            write_text(picture, text, corner, letter, colour)
         return picture
 
 

@@ -31,7 +31,14 @@ LISTED = {
 """Classes, or their attributes, whose arrays the table lists."""
 
 # Of these, an attribute is listed, since they show pixels or colours.
-_PICTURES = ("_Scene._now", "_Scene._searched", "Patch.grey", "Track.colours")
+_PICTURES = (
+    "_Scene.now",
+    "_Scene._searched",
+    "View._usual",
+    "View._lasting",
+    "Patch.grey",
+    "Track.colours",
+)
 # These hold no data: what is reached through them is code, or the same for all sessions.
 _CODE = (type, ModuleType, FunctionType, BuiltinFunctionType, MethodType)
 _CONTAINERS = (list, tuple, dict, set, frozenset, deque)
@@ -90,7 +97,8 @@ def test_pictures_are_as_small_as_the_model_card_says(street: CameraSession) -> 
     kept = kept_arrays(street)
     shapes = {name: [array.shape for array in kept.pop(name)] for name in _PICTURES}
     # No smaller person is wanted than a twelfth of the photograph's 576 rows.
-    assert shapes["_Scene._now"] == shapes["_Scene._searched"] == [(12 * 8, 89)]
+    of_camera = ("_Scene.now", "_Scene._searched", "View._usual", "View._lasting")
+    assert [shapes[name] for name in of_camera] == [[(12 * 8, 89)]] * 4
     assert shapes["Patch.grey"] == [(16, 16)] * 5
     assert shapes["Track.colours"] == [(80,)] * 5
     # The rest are hypotheses of a frame, at most twelve skeletons.

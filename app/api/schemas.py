@@ -181,8 +181,10 @@ class Image(ImageSize):
     warnings: list[ImageWarning] = Field(
         description="What may impair the result. `crowded`: more people are seen in the photograph "
         "than returned, because there are too many or the time was over; `dark`: the frame is too "
-        "dark to show much; `stretched`: 16 bits a channel that used only part of their range, "
-        "which was stretched; `truncated`: the end of the JPEG is missing, and grey; `damaged`: "
+        "dark to show much; `obstructed`: of the usual view of a camera, little is left, as where "
+        "it is covered, out of focus or turned away; `stretched`: 16 bits a channel that used only "
+        "part of their range, which was stretched; `truncated`: the end of the JPEG is missing, "
+        "and grey; `damaged`: "
         "the video has lost data of this frame, or of one that it builds on; `zone_outside`: a "
         "zone of the camera lies wholly outside the frame. More may be added.",
         examples=[[]],

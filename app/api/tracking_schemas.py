@@ -219,17 +219,21 @@ class TrackedPerson(Person):
 
 
 class Event(Model):
-    """A change in a track at one frame."""
+    """A change in a track, or in the view of the camera, at one frame."""
 
     event: EventName = Field(
         description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`: the "
         "person is in a zone, or no longer; `fell`: the person went down and lies; `lying`, "
-        "`arms_raised`: the posture.",
+        "`arms_raised`: the posture; `obstructed`: little is left of the camera's usual view.",
         examples=["fell"],
     )
-    track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
+    track_id: Annotated[int, Field(ge=1)] | None = Field(
+        description="Identity of the person. Null with `obstructed`, an event of the camera.",
+        examples=[3],
+    )
     state: EventState = Field(
-        description="Whether `lying` or `arms_raised` began or ended; `instant` for all others; "
+        description="Whether `lying`, `arms_raised` or `obstructed` began or ended; `instant` for "
+        "all others; "
         "`unconfirmed`, only in the last line of a video, for what had begun to show but was not "
         "certain.",
         examples=["instant"],

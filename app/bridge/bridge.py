@@ -25,7 +25,8 @@ _NO_CAMERA = (404, 405, 422)
 class Bridge:
     """Posts a camera's frames and passes the events on.
 
-    Home Assistant is shown how many people there are, and which zones are occupied.
+    Home Assistant is shown how many people there are, which zones are occupied, and whether the
+    view is blocked.
     """
 
     def __init__(
@@ -33,6 +34,7 @@ class Bridge:
     ) -> None:
         self._camera, self._outbox, self._home_assistant = camera, outbox, home_assistant
         self._presence = Presence()
+        self._obstructed = False
         self._zones: list[str] | None = None  # Not known before the service has named them.
         self._trouble = Trouble("the service answers again")
         # Whether the service may list events that were not passed on.
@@ -101,6 +103,7 @@ class Bridge:
             self._pass_on(self._message(event))
         if is_new or not self.answered:
             self._presence.begin(answer["persons"])
+        self._obstructed = "obstructed" in answer["image"]["warnings"]
         self.answered += 1
         self._show()
 
@@ -131,7 +134,7 @@ class Bridge:
             occupied = None
             if self._zones is not None:
                 occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
-            self._home_assistant.show(self._presence.people, occupied)
+            self._home_assistant.show(self._presence.people, occupied, obstructed=self._obstructed)
 
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:

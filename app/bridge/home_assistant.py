@@ -2,8 +2,8 @@
 
 Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
-``people`` (a number), ``zones/ZONE`` (ON or OFF) and ``fell`` (the event as JSON, but with the
-``state`` ON for :data:`FELL_SHOWN_S`, then OFF). People and zones are None while offline.
+``people`` (a number), ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None while offline,
+and ``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then OFF).
 """
 
 import contextlib
@@ -27,6 +27,7 @@ from app.bridge.outbox import Message
 BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
+_SENSORS = ("fell", "obstructed")  # Binary ones beside those of zones.
 _UNKNOWN = "None"  # As Home Assistant's sensors have it.
 # The broker reports a dead machine after one and a half of these: within BLIND_AFTER_S, too.
 _KEEPALIVE_S = 10
@@ -83,6 +84,7 @@ class HomeAssistant:
             value_template="{{ value_json.state }}",
             json_attributes_topic=self._fell,
         )
+        self._announce("binary_sensor", "obstructed", "obstructed", device_class="problem")
         self._announce("sensor", "people", "people", state_class="measurement")
         # By its name, the broker knows that an earlier connection of this camera is dead.
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
@@ -113,17 +115,20 @@ class HomeAssistant:
             self._last_fall = message["id"]
         self._publish(f"{self._base}/events", json.dumps(message))
 
-    def show(self, people: int, zones: Mapping[str, bool] | None) -> None:
-        """Show how many people there are and which zones are occupied; announce new zones.
+    def show(
+        self, people: int, zones: Mapping[str, bool] | None, *, obstructed: bool = False
+    ) -> None:
+        """Show how many people there are, which zones are occupied, and if the view is blocked.
 
-        Zones are None while they are not known. Those that are gone, even since an earlier start,
-        are withdrawn.
+        Zones are None while they are not known; new ones are announced. Those that are gone, even
+        since an earlier start, are withdrawn.
         """
         with self._changed:
             self._seen_at = time.monotonic()
             if zones is not None:
                 self._show_zones(zones)
             self._state[f"{self._base}/people"] = str(people)
+            self._state[f"{self._base}/obstructed"] = "ON" if obstructed else "OFF"
             self._state[self._available] = "online"
 
     def _show_zones(self, zones: Mapping[str, bool]) -> None:
@@ -135,7 +140,7 @@ class HomeAssistant:
             self._config("binary_sensor", topic): f"{self._base}/{topic}"
             for topic in (self._zones or {}).keys() - topics.keys()
         }
-        known = {self._config("binary_sensor", topic) for topic in ("fell", *topics)}
+        known = {self._config("binary_sensor", topic) for topic in (*_SENSORS, *topics)}
         gone |= {config: state for config, state in self._earlier.items() if config not in known}
         self._state |= dict.fromkeys([*gone.keys(), *gone.values()], "")
         self._zones, self._earlier = topics, {}
@@ -165,10 +170,10 @@ class HomeAssistant:
                 self._retry_at[topic] = now + _RETRY_AFTER_S
 
     def hide(self) -> None:
-        """Show that the camera is offline; people and zones become unknown."""
+        """Show that the camera is offline; what it sees becomes unknown."""
         with self._changed:
             self._state[self._available] = "offline"
-            for topic in ("people", *(self._zones or ())):
+            for topic in ("people", "obstructed", *(self._zones or ())):
                 self._state[f"{self._base}/{topic}"] = _UNKNOWN
 
     def news(self) -> list[str]:

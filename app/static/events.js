@@ -16,6 +16,7 @@ const WORDS = {
 const LASTING = {
   lying: { begin: "is lying", end: "is no longer lying" },
   arms_raised: { begin: "raises both arms", end: "lowers the arms" },
+  obstructed: { begin: "does not see its usual view", end: "sees its usual view again" },
 };
 
 function eventWords({ event, state, zones = [] }) {
@@ -27,8 +28,8 @@ function eventWords({ event, state, zones = [] }) {
 
 /** Put an event on top of the list; `look` is called with its time when it is clicked. */
 export function showEvent(event, look) {
-  const who = element("b", { textContent: event.track_id });
-  who.style.borderBottomColor = personColour(event.track_id - 1);
+  const who = element("b", { textContent: event.track_id ?? "The camera" });
+  if (event.track_id) who.style.borderBottomColor = personColour(event.track_id - 1);
   const time = element("button", { type: "button", className: "time", textContent: clock(event.timestamp) });
   time.title = "Show this frame";
   time.addEventListener("click", () => look(event.timestamp));

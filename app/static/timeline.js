@@ -82,7 +82,7 @@ export class Timeline {
       if (known) last.to = timestamp;
       if (!known || last.label !== label) spans.push({ label, from: timestamp, to: timestamp });
     }
-    for (const event of events) this.#track(event.track_id).events.push(event);
+    for (const event of events) if (event.track_id) this.#track(event.track_id).events.push(event);
     this.#forget();
     this.draw();
   }

@@ -21,17 +21,18 @@ _SETTLING_S = 0.5
 _BEGINS_FROM, _ENDS_BELOW = 0.5, 0.2
 
 
-class _Hysteresis:
-    """A low-pass filtered probability, and a state that follows it with hysteresis."""
+class Hysteresis:
+    """A probability, low-pass filtered over ``settling_s``, and a state that follows it."""
 
-    def __init__(self) -> None:
+    def __init__(self, settling_s: float = _SETTLING_S) -> None:
+        self._settling_s = settling_s
         self.level = 0.0
         self.holds = False
         self.since = 0.0
 
     def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
         """Add a frame that counts for ``seconds``; return the change of state, if any."""
-        kept = math.exp(-seconds / _SETTLING_S)
+        kept = math.exp(-seconds / self._settling_s)
         self.level = kept * self.level + (1 - kept) * probability
         if not self.holds and self.level >= _BEGINS_FROM:
             self.holds, self.since = True, timestamp
@@ -40,6 +41,11 @@ class _Hysteresis:
             self.holds = False
             return "end"
         return None
+
+    @property
+    def is_unconfirmed(self) -> bool:
+        """Whether it has begun to show but is not certain."""
+        return not self.holds and self.level >= _ENDS_BELOW
 
 
 # Most time that a single frame counts for: just too short to begin an event.
@@ -51,7 +57,7 @@ class EventDetector:
 
     def __init__(self) -> None:
         self._last_at: float | None = None
-        self._lying, self._arms_raised = _Hysteresis(), _Hysteresis()
+        self._lying, self._arms_raised = Hysteresis(), Hysteresis()
         self._falls = FallWatch()
         self._rests = False
 

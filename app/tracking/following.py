@@ -58,6 +58,11 @@ class TrackedPeopleDetector:
         self._searched_at = self._read_at = -math.inf
         self._scene = _Scene()
 
+    @property
+    def grey(self) -> NDArray[np.uint8] | None:
+        """The newest frame as a small grey picture ``(h, w)``; None before the first."""
+        return self._scene.now
+
     def find(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
     ) -> tuple[list[Person], dict[int, Track]]:
@@ -238,7 +243,7 @@ class _Scene:
     """
 
     def __init__(self) -> None:
-        self._now: NDArray[np.uint8] | None = None
+        self.now: NDArray[np.uint8] | None = None
         self._searched: NDArray[np.uint8] | None = None
         self._boxes: dict[Track, Box] = {}  # Where tracked people were at the last search.
         self._changed_at = self._still_at = -math.inf
@@ -252,7 +257,7 @@ class _Scene:
         """
         scale, (height, width) = _small(frame.shape, smallest_px)
         small = shrink_quickly(frame, width, height)
-        self._now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
+        self.now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         places = [track.box_filter.predict(time) for track in tracks]
         # Tracks that have ended are let go.
         self._boxes = {one: self._boxes.get(one, one.box_filter.seen) for one in tracks}
@@ -286,7 +291,7 @@ class _Scene:
 
     def restart(self) -> None:
         """Compare with the present frame from now on, since it is searched."""
-        self._searched, self._boxes = self._now, {}
+        self._searched, self._boxes = self.now, {}
 
     @staticmethod
     def _differs(

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Estimate, Person
 
-EventName = Literal["entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised"]
+EventName = Literal[
+    "entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised", "obstructed"
+]
 EVENT_NAMES: tuple[EventName, ...] = get_args(EventName)
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
@@ -40,17 +42,18 @@ class RecognisedAction:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that began, ended or happened to a tracked person at a frame.
+    """Something that began, ended or happened to a tracked person or the camera at a frame.
 
-    The state is ``begin`` or ``end`` of ``lying`` and ``arms_raised``; ``instant`` for all others;
-    ``unconfirmed`` if it had only begun to show at the last frame. The zones are those in which the
+    Without ``track_id`` it is of the camera: ``obstructed``. The state is ``begin`` or ``end`` of
+    ``lying``, ``arms_raised`` and ``obstructed``; ``instant`` for all others; ``unconfirmed`` if it
+    had only begun to show at the last frame. The zones are those in which the
     person is; of ``zone_entered`` and ``zone_left``, the zone that they entered or left.
     ``dwell_s``, only of ``zone_left``, is how long they were in it. ``lost`` is whether the person
     who fell was not seen any more.
     """
 
     event: EventName
-    track_id: int
+    track_id: int | None
     state: EventState
     timestamp: float
     probability: float

@@ -23,8 +23,11 @@ from app.vision.kinds import kind_of
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
-ImageWarning = Literal["crowded", "dark", "stretched", "truncated", "damaged", "zone_outside"]
+ImageWarning = Literal[
+    "crowded", "dark", "obstructed", "stretched", "truncated", "damaged", "zone_outside"
+]
 """``crowded``: more people are seen than returned; ``dark``: the picture is too dark to show much;
+``obstructed``: little is left of a camera's usual view;
 ``stretched``: a 16-bit image used only part of its range, which was stretched; ``truncated``: the
 end of the image is missing; ``damaged``: a frame of a video whose data is incomplete or wrong;
 ``zone_outside``: a zone of the camera lies outside the frame."""

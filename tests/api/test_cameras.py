@@ -5,13 +5,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
-from tests.conftest import Photo, Serving
+from tests.app.vision.encoded import encode
+from tests.conftest import ROOT, Photo, Serving
 from tests.support.service import check_problem, eventually, sample, send
 
 
@@ -149,3 +152,48 @@ class TestKeys:
         assert "x-session" not in response.headers
         for method, path in (("GET", ""), ("GET", "/yard"), ("DELETE", "/yard")):
             assert locked.request(method, f"/cameras{path}").status_code == 401
+
+
+class TestObstructed:
+    """A camera that is covered, as a caller sees it."""
+
+    YARD = (ROOT / "tests/data/yard-empty.jpg").read_bytes()
+    COVER = encode(np.full((330, 400, 3), 90, np.uint8), ".jpg")
+
+    def watch(
+        self, client: TestClient, *frames: bytes, since: float = 0.0
+    ) -> tuple[list[bool], list[dict[str, Any]]]:
+        """Whether each frame, three seconds apart, has the warning; and the camera's events."""
+        warned = []
+        for number, frame in enumerate(frames):
+            timestamp = since + 3 * number
+            answer = client.post(
+                "/cameras/yard/frames", files={"frame": frame}, data={"timestamp": timestamp}
+            )
+            assert answer.status_code == 200
+            warned.append("obstructed" in answer.json()["image"]["warnings"])
+        return warned, client.get("/cameras/yard/events").json()["events"]
+
+    def test_a_covered_camera_says_so_until_it_is_free(self, client: TestClient) -> None:
+        frames = [self.YARD] * 6 + [self.COVER] * 6 + [self.YARD] * 6
+        warned, events = self.watch(client, *frames)
+        assert not any(warned[:7])
+        assert all(warned[8:12])
+        assert not any(warned[-2:])
+        assert [(one["event"], one["state"], one["track_id"]) for one in events] == [
+            ("obstructed", "begin", None), ("obstructed", "end", None),
+        ]  # fmt: skip
+        assert sample(client, "pose_events_total", event="obstructed") == 1
+
+    def test_a_camera_may_leave_the_event_out(self, client: TestClient) -> None:
+        client.put("/cameras/yard", json={"events": ["fell"]})
+        warned, events = self.watch(client, *[self.YARD] * 6, *[self.COVER] * 4)
+        assert warned[-1]
+        assert events == []
+
+    def test_a_pause_does_not_hide_that_the_camera_was_turned(self, client: TestClient) -> None:
+        self.watch(client, *[self.YARD] * 6)
+        yard = cv2.imdecode(np.frombuffer(self.YARD, np.uint8), cv2.IMREAD_COLOR)
+        turned = encode(np.ascontiguousarray(yard[::-1]), ".jpg")
+        warned, _ = self.watch(client, *[turned] * 4, since=3600)
+        assert warned[-1]

@@ -96,16 +96,20 @@ def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture
 def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "BLIND_AFTER_S", 0.5)
     eventually(ward.shows(available="offline"))
-    ward.home.show(1, {"bed": True, "floor": False})
-    eventually(ward.shows(available="online", people="1", **{"zones/bed": "ON"}))
-    eventually(ward.shows(available="offline", people="None", **{"zones/bed": "None"}))
+    ward.home.show(1, {"bed": True, "floor": False}, obstructed=True)
+    shown = {"people": "1", "obstructed": "ON", "zones/bed": "ON"}
+    eventually(ward.shows(available="online", **shown))
+    eventually(ward.shows(available="offline", **dict.fromkeys(shown, "None")))
     ward.home.show(0, {"floor": True})
-    eventually(ward.shows(available="online", people="0", **{"zones/floor": "ON"}))
+    shown = {"people": "0", "obstructed": "OFF", "zones/floor": "ON"}
+    eventually(ward.shows(available="online", **shown))
     # The zone that is gone is no longer announced.
     discovered = {
         topic for topic, payload in ward.subscriber.latest.items() if "/config" in topic and payload
     }
-    assert {topic.split("/")[-2] for topic in discovered} == {"fell", "people", "zones_floor"}
+    assert {topic.split("/")[-2] for topic in discovered} == {
+        "fell", "obstructed", "people", "zones_floor"
+    }  # fmt: skip
     ward.home.hide()
     eventually(ward.shows(available="offline", people="None", **{"zones/floor": "None"}))
 
@@ -215,4 +219,6 @@ def test_home_assistant_reads_what_is_published(ward: Ward, tmp_path: Path) -> N
     eventually(lambda: ward.fell.get("state") == "ON")
     topics = json.dumps(ward.subscriber.latest)
     states = json.loads(output_of(python, "-c", ACCEPT, topics, str(tmp_path)))
-    assert states == {"fell": "ON", "people": "1", "bed": "ON", "the floor": "OFF"}
+    assert states == {
+        "fell": "ON", "obstructed": "OFF", "people": "1", "bed": "ON", "the floor": "OFF",
+    }  # fmt: skip
