@@ -53,6 +53,7 @@ class Service(Webhook):
         events = [self.events.pop(0)] if self.events else []
         self.listed += events
         answer = {
+            "image": {"warnings": []},
             "persons": [
                 {"track_id": one["track_id"], "zones": [], "posture": None}
                 for one in self.listed[-1:]
