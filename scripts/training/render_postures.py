@@ -21,7 +21,7 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
 from app.vision.person_reader import PersonReader
-from scripts.training.photograph_data import Rows
+from scripts.training.photograph_data import Rows, landmarks_right
 from scripts.training.render.scene import EMPTY, Photograph
 from scripts.training.render.views import hide, spoil
 from scripts.training.render_people import open_studio, rendering_parser, write_rows
@@ -31,6 +31,10 @@ VIEWS = ("plain", "hidden", "spoilt")
 HEAD_FIRST = 0.35
 """Share of the people who lie whose head points to the camera: few landmarks are read right then.
 """
+
+
+UNRECORDED, FALLEN = 0.15, 0.3
+"""Shares: of people in poses that no clip shows; of those who lie, of simulated falls."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,8 @@ class PostureRows(Rows):
     presence: NDArray[np.float64]  # (N,)
     # (N,): positions in :data:`app.vision.judgement.FRAME_POSTURES`, or -1 where nobody is.
     posture: NDArray[np.int64]
+    shown: NDArray[np.int64]  # (N,): landmarks that are shown
+    found: NDArray[np.bool_]  # (N,): whether the landmarks are right
 
 
 def views_of(photograph: Photograph, generator: Generator) -> Iterator[Photograph]:
@@ -91,8 +97,15 @@ class Reader:
             reading = self.people.read(shown.image, box)
             camera = camera_of(shown, generator)
             _, trust, seen = self.models.evidence(reading, camera)
+            found = (
+                shown.posture != EMPTY
+                and landmarks_right(
+                    reading.landmarks.positions[None], shown.places[None], shown.shown[None]
+                ).item()
+            )
             one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)
-            rows.append([np.array([value]) for value in (*one, shown.posture)])
+            truth = (shown.posture, int(shown.shown.sum()), found)
+            rows.append([np.array([value]) for value in (*one, *truth)])
         columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
         return PostureRows(
             *columns[:2], *(part.astype(np.float16) for part in columns[2:4]), *columns[4:]
@@ -107,4 +120,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("expected --out")
     studio = open_studio(options)
     studio.head_first = HEAD_FIRST
+    studio.source.unrecorded, studio.source.fallen = UNRECORDED, FALLEN
     write_rows(options, studio, Reader.load().rows)

@@ -7,7 +7,8 @@ lower bodies are exchanged; each then counts as what its joints say (:func:`clas
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -15,12 +16,13 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from app.vision.judgement import FRAME_POSTURES
+from app.vision.judgement import FRAME_POSTURES, FramePostureName
 from index.build.body import Avatar, turned_to_front
 from index.build.motion import Clip, read_manifest
 from index.build.poses import Poses, joints_of, read_poses
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+from scripts.training.falling import FALLS, FPS, fall_from
 
 CLASS_OF_POSTURE = {
     "standing": "standing", "walking": "standing", "running": "standing",
@@ -105,13 +107,14 @@ class Pose:
     """A pose that is being made: world rotations ``(B, 3, 3)`` of a clip's bones.
 
     ``support`` carries the body: on a seat it sits however far it leans, on a cycle whatever the
-    legs do.
+    legs do. ``posture`` is the class of a pose that its joints do not show.
     """
 
     clip: Clip
     rotations: NDArray[np.float64]
     bones: Bones
     support: Support = "ground"
+    posture: FramePostureName | None = None
 
     def turn(self, rows: NDArray[np.int64], turn: NDArray[np.float64]) -> None:
         """Turn some bones, as they are in the world."""
@@ -123,13 +126,21 @@ class Pose:
         left = self.rotations[0][:, 0] * np.array([1.0, 0.0, 1.0])
         return np.asarray(left / max(float(np.linalg.norm(left)), 1e-6))
 
+    @property
+    def ahead(self) -> NDArray[np.float64]:
+        """To the front of the pelvis, level."""
+        return np.cross(self.aside, [0.0, 1.0, 0.0])
+
+    def turn_all(self, axis: NDArray[np.float64], angle: float) -> None:
+        """Turn the whole body."""
+        self.rotations = about(axis, angle) @ self.rotations
+
     def lean(self, angle: float, pelvis: float = 0.7) -> None:
         """Turn trunk, arms and head forward; the pelvis by a share, the legs not at all."""
         legs = np.concatenate(self.bones.thighs)
         held = self.rotations[legs].copy()
         axis = self.aside
-        everything = np.arange(len(self.rotations))
-        self.turn(everything, about(axis, pelvis * angle))
+        self.turn_all(axis, pelvis * angle)
         self.turn(self.bones.trunk, about(axis, (1 - pelvis) * angle))
         self.rotations[legs] = held
 
@@ -141,13 +152,13 @@ class Pose:
         axis = self.aside
         out = about(np.array([0.0, 1.0, 0.0]), spread if side == 0 else -spread)
         self.turn(self.bones.thighs[side], out @ about(axis, -thigh))
-        self.turn(self.bones.shanks[side], about(axis, thigh + shank))
+        self.turn(self.bones.shanks[side], about(out @ axis, thigh + shank))
 
     def spread_arms(
         self, angles: NDArray[np.float64], scatter: float, generator: Generator
     ) -> None:
         """Turn the left and the right arm outward, as they rest beside a body that lies."""
-        front = np.cross(self.aside, [0.0, 1.0, 0.0])
+        front = self.ahead
         for side, angle in enumerate(angles):
             chance = about(_direction(generator), generator.normal(0, scatter))
             outward = about(front, float(angle if side == 0 else -angle))
@@ -175,6 +186,10 @@ class PoseSource:
 
     poses: Poses
     classes: NDArray[np.int64]
+    # Shares of the poses that no clip shows, and, of those that lie, of people who fell.
+    unrecorded: float = 0.0
+    fallen: float = 0.0
+    _falls: dict[int, Pose] = field(default_factory=dict)
     _groups: dict[int, list[NDArray[np.int64]]] = field(default_factory=dict)
     _bones: dict[str, Bones] = field(default_factory=dict)
 
@@ -200,6 +215,14 @@ class PoseSource:
         """A pose that is meant to be of a class: recorded, or made."""
         wanted = FRAME_POSTURES.index(name)
         standing = FRAME_POSTURES.index("standing")
+        if name == "lying" and generator.random() < self.fallen:
+            return self._fallen(int(generator.integers(FALLEN_POSES)), generator)
+        if name in UNRECORDED and generator.random() < self.unrecorded:
+            pose = self.recorded(standing, generator)
+            makers_of = UNRECORDED[name]
+            makers_of[generator.integers(len(makers_of))](pose, generator)
+            pose.rotations = turned_to_front(pose.rotations[None])[0]
+            return pose
         makers = {
             "bending": bend_over, "crouching": crouch_or_kneel, "sitting": sit,
             "all_fours": go_on_all_fours, "lying": lie,
@@ -218,6 +241,22 @@ class PoseSource:
             makers[name](pose, generator)
         elif name == "standing" and generator.random() < 0.25:
             pose.lean(float(generator.normal(0.1, 0.2)))
+        pose.rotations = turned_to_front(pose.rotations[None])[0]
+        return pose
+
+    def _fallen(self, number: int, generator: Generator) -> Pose:
+        """How a person lies who fell, by physics; the pose of a number stays the same."""
+        while number not in self._falls:
+            clip = self.poses.clips[generator.integers(len(self.poses.clips))]
+            if clip.name not in self._bones:
+                self._bones[clip.name] = Bones.of(clip)
+            frame = int(generator.integers(len(clip.rotations)))
+            fall = fall_from(clip, frame, FALLS[number % len(FALLS)], generator)
+            if fall.ends_down:
+                last = min(fall.down + round(generator.uniform(0.2, 2) * FPS), len(fall.rotations))
+                turned = fall.rotations[last - 1].copy()
+                self._falls[number] = Pose(clip, turned, self._bones[clip.name])
+        pose = replace(self._falls[number])
         pose.rotations = turned_to_front(pose.rotations[None])[0]
         return pose
 
@@ -379,6 +418,129 @@ def lie(pose: Pose, generator: Generator) -> None:
     slope = about(np.array([1.0, 0.0, 0.0]), float(np.deg2rad(abs(generator.normal(0, 9)))))
     turn = slope @ onto_back @ about(np.array([0.0, 1.0, 0.0]), float(roll))
     pose.rotations = turn @ pose.rotations
+
+
+def stand_on_one_leg(pose: Pose, generator: Generator) -> None:
+    """A knee raised, a foot at the other knee, or a leg stretched ahead or behind."""
+    pose.posture = "standing"
+    side, way = int(generator.integers(2)), generator.random()
+    if way < 0.35:
+        out = generator.uniform(40, 85) * (1 if side == 0 else -1)
+        back = out + generator.uniform(15, 50) * np.sign(out)
+        pose.turn(pose.bones.thighs[side], about(pose.ahead, float(np.deg2rad(out))))
+        pose.turn(pose.bones.shanks[side], about(pose.ahead, float(np.deg2rad(-back))))
+    elif way < 0.7:
+        thigh, shank = generator.uniform([40, -10], [115, 70])
+        pose.fold_leg(side, float(np.deg2rad(thigh)), float(np.deg2rad(shank)))
+    else:
+        thigh = generator.choice([generator.uniform(35, 90), generator.uniform(-60, -20)])
+        bend = generator.uniform(0, 30)
+        pose.fold_leg(side, float(np.deg2rad(thigh)), float(np.deg2rad(bend - thigh)))
+        if thigh < 0:
+            pose.lean(float(np.deg2rad(generator.uniform(0, 30))), 0.6)
+    _gesture(pose, generator)
+
+
+def lunge(pose: Pose, generator: Generator) -> None:
+    """One foot far ahead, its knee bent, the other leg straight behind."""
+    pose.posture = "standing"
+    side = int(generator.integers(2))
+    thigh, shank = generator.uniform(40, 85), generator.normal(0, 8)
+    # As low as the leg ahead.
+    behind = np.arccos((np.cos(np.deg2rad(thigh)) + np.cos(np.deg2rad(shank))) / 2)
+    bend = abs(generator.normal(0, 8))
+    pose.fold_leg(side, float(np.deg2rad(thigh)), float(np.deg2rad(shank)))
+    pose.fold_leg(1 - side, float(-behind), float(behind + np.deg2rad(bend)))
+    pose.lean(float(np.deg2rad(generator.normal(8, 14))), 0.5)
+    _gesture(pose, generator)
+
+
+def fold_arms(pose: Pose, generator: Generator) -> None:
+    """Arms before the chest, or the hands at the hips."""
+    pose.posture = "standing"
+    vertical = np.array([0.0, 1.0, 0.0])
+    crossed = generator.random() < 0.6
+    for side, sign in ((0, 1.0), (1, -1.0)):
+        inward = np.deg2rad(generator.uniform(45, 80))
+        if crossed:
+            pose.turn(pose.bones.arms[side], about(pose.aside, -generator.uniform(0.1, 0.5)))
+            pose.turn(pose.bones.forearms[side], about(pose.aside, -generator.uniform(1.2, 1.7)))
+            pose.turn(pose.bones.forearms[side], about(vertical, -sign * inward))
+        else:
+            out = generator.uniform(0.5, 0.9)
+            pose.turn(pose.bones.arms[side], about(pose.ahead, sign * out))
+            pose.turn(pose.bones.forearms[side], about(pose.ahead, -sign * (out + inward)))
+
+
+def squat_wide(pose: Pose, generator: Generator) -> None:
+    """Squat with the knees far apart."""
+    pose.posture = "crouching"
+    thigh, spread = generator.uniform([50, 35], [100, 65])
+    for side in (0, 1):
+        shank = generator.uniform(-5, 25)
+        pose.fold_leg(side, *np.deg2rad([thigh, shank, spread]).tolist())
+    pose.lean(float(np.deg2rad(generator.uniform(0, 35))), 0.6)
+    _gesture(pose, generator)
+
+
+def plank(pose: Pose, generator: Generator) -> None:
+    """A straight body on hands and feet, on the forearms, or on one hand and a side."""
+    pose.posture = "all_fours"
+    # An arm of .55 m under shoulders that are 1.4 m from the feet.
+    slope = np.deg2rad(generator.normal(67, 5))
+    if generator.random() < 0.5:
+        low = generator.random() < 0.35
+        pose.turn_arms(float(np.deg2rad(generator.normal(85, 8))), 0.12, generator)
+        if low:
+            for forearm in pose.bones.forearms:
+                pose.turn(forearm, about(pose.aside, float(-np.deg2rad(generator.normal(85, 10)))))
+            slope += np.deg2rad(12)
+        pose.turn_all(pose.aside, float(slope))
+        return
+    side = int(generator.integers(2))
+    sign = 1.0 if side == 0 else -1.0
+    up = generator.uniform(60, 100) if generator.random() < 0.6 else generator.uniform(-5, 30)
+    raised = {side: generator.normal(85, 8), 1 - side: up}
+    for arm, angle in raised.items():
+        out = np.deg2rad(angle) * (1 if arm == 0 else -1)
+        pose.turn(pose.bones.arms[arm], about(pose.ahead, float(out)))
+    pose.turn_all(pose.ahead, float(-sign * slope))
+
+
+def lean_on_arm(pose: Pose, generator: Generator) -> None:
+    """Sit on the ground, the trunk upon one arm, as people do who get up."""
+    pose.posture = "sitting"
+    for side in (0, 1):
+        pose.fold_leg(side, *_seated_leg(True, generator))
+    side = int(generator.integers(2))
+    sign = 1.0 if side == 0 else -1.0
+    lean = float(np.deg2rad(generator.uniform(15, 40)))
+    pose.lean(float(np.deg2rad(generator.normal(-10, 12))), 0.7)
+    pose.turn(pose.bones.trunk, about(pose.ahead, -sign * lean))
+    out = sign * (lean + generator.uniform(0.2, 0.7))
+    pose.turn(pose.bones.arms[side], about(pose.ahead, out))
+    pose.turn(pose.bones.arms[1 - side], about(pose.aside, -generator.uniform(0, 1.2)))
+
+
+def _gesture(pose: Pose, generator: Generator) -> None:
+    """Leave the arms, spread them, raise them ahead or above the head."""
+    way = generator.random()
+    if way < 0.3:
+        pose.spread_arms(np.deg2rad(generator.uniform(50, 110, 2)), 0.15, generator)
+    elif way < 0.5:
+        pose.spread_arms(np.deg2rad(generator.uniform(145, 180, 2)), 0.15, generator)
+    elif way < 0.7:
+        pose.turn_arms(float(np.deg2rad(generator.uniform(40, 100))), 0.2, generator)
+
+
+UNRECORDED: dict[str, tuple[Callable[[Pose, Generator], None], ...]] = {
+    "standing": (stand_on_one_leg, lunge, fold_arms), "crouching": (squat_wide,),
+    "all_fours": (plank,), "sitting": (lean_on_arm,),
+}  # fmt: skip
+"""Poses that no clip shows."""
+
+FALLEN_POSES = 400
+"""Simulated falls, as many as pay: bodies, clothes and views differ each time."""
 
 
 def read_pose_source(motion: Path, avatar: Avatar, *, held_out: bool) -> PoseSource:

@@ -58,6 +58,9 @@ COMPANIONS, HIDDEN = 0.14, 0.22
 CLOSE_UPS = 0.1
 """Share of people whose picture holds one end of the body, mostly the head's."""
 
+JUMBLED = 0.3
+"""Share of pictures without people in which two things stand in one another."""
+
 EMPTY = -1
 """Class of pictures that show nobody."""
 
@@ -153,6 +156,9 @@ class Studio:
     def _still_life(self, materials: Materials, generator: Generator) -> Photograph | None:
         makers = furniture.SUBJECTS
         subject = makers[generator.integers(len(makers))](materials, generator)
+        if generator.random() < JUMBLED:
+            other = makers[generator.integers(len(makers))](materials, generator)
+            subject = joined([subject, other.placed(np.eye(3), generator.normal(0, 0.25, 3))])
         turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
         raised = generator.choice([0.0, generator.uniform(0, 0.8)])
         subject = subject.placed(turn, [0.0, raised, 0.0])
@@ -170,6 +176,8 @@ class Studio:
         leans = pose.support == "seat" and FRAME_POSTURES[posture] in ("bending", "crouching")
         if leans or pose.support == "cycle":
             posture = FRAME_POSTURES.index("sitting")
+        if pose.posture is not None:
+            posture = FRAME_POSTURES.index(pose.posture)
         if FRAME_POSTURES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
             return None
         moved = np.ascontiguousarray(turned[0], np.float32)
