@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from scripts.training.fall_tracks import Track
 from scripts.training.motion_library import trunk_is_up
-from scripts.training.render_films import RATE
+from scripts.training.render.film import RATE
 
 
 def film_tracks(folder: Path) -> Iterator[Track]:

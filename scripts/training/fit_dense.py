@@ -26,20 +26,25 @@ def fit_dense(
     decay: float = 0.02,
     dropout: float = 0.1,
     noise: float = 0.1,
+    initial: DenseNetwork | None = None,
 ) -> DenseNetwork:
     """Train a network; the same one for the same arguments.
 
     The loss is given targets ``(N, T)`` as they are. Layers between have the widths ``hidden``. The
     rate of AdamW rises and falls over the training. A share ``dropout`` of the hidden values is
-    left out, and noise is added to the standardised features ``(N, F)``.
+    left out, and noise is added to the standardised features ``(N, F)``. An initial network of the
+    same widths is trained on.
     """
     import torch
 
     torch.manual_seed(seed)
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
-    means = features.mean(axis=0, dtype=np.float64).astype(np.float32)
-    scales = np.maximum(features.std(axis=0, dtype=np.float64), 1e-4).astype(np.float32)
+    if initial is None:
+        means = features.mean(axis=0, dtype=np.float64).astype(np.float32)
+        scales = np.maximum(features.std(axis=0, dtype=np.float64), 1e-4).astype(np.float32)
+    else:
+        means, scales = initial.means, initial.scales
     inputs = torch.from_numpy(((features - means) / scales).astype(np.float32))
     truth = torch.from_numpy(targets.astype(np.float32))
     layers: list[Any] = []
@@ -51,6 +56,11 @@ def fit_dense(
     torch.nn.init.zeros_(last.weight)
     torch.nn.init.zeros_(last.bias)
     network = torch.nn.Sequential(*layers, last)
+    linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
+    if initial is not None:
+        for layer, weight, bias in zip(linear, initial.weights, initial.biases, strict=True):
+            layer.weight.data = torch.from_numpy(weight.T.copy())
+            layer.bias.data = torch.from_numpy(bias.copy())
     optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
     batches = max(1, len(inputs) // batch)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, epochs * batches, pct_start=0.1)
@@ -65,7 +75,6 @@ def fit_dense(
             found.backward()
             optimiser.step()
             schedule.step()
-    linear = [layer for layer in network if isinstance(layer, torch.nn.Linear)]
     return DenseNetwork(
         means,
         scales,

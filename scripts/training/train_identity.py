@@ -18,7 +18,7 @@ from app.vision.models import FOLDER
 from app.vision.odds import sigmoid
 from app.vision.same_person import FEATURES, KnownPerson
 from scripts.training.fit_dense import fit_dense
-from scripts.training.render_films import RATE
+from scripts.training.render.film import RATE
 
 LATER_S = 0.5
 """Time unseen from which a pair counts as of a person who was lost."""

@@ -49,9 +49,10 @@ def sample_camera(
 ) -> Camera:
     """A camera that sees a target ``(3,)`` somewhere in its frame.
 
-    At eye level, below a ceiling, near the floor, high above a street, or overhead; off axis as often as not;
-    one in eight holds the target at its border. ``close`` cameras stand within arm's reach to two
-    metres, as on a desk or a shelf. The azimuth about the target is a given one, or any.
+    At eye level, below a ceiling, near the floor, high above a street, or overhead; off axis as
+    often as not; one in eight holds the target at its border. ``close`` cameras stand within arm's
+    reach to two metres, as on a desk or a shelf. The azimuth about the target is a given one, or
+    any.
     """
     chance = generator.random()
     if close:

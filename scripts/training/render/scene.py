@@ -202,7 +202,7 @@ def _rests(joints: NDArray[np.float64]) -> bool:
     return bool(trunk.max() - joints[:JOINTS, 1].min() < TRUNK_BELOW_M)
 
 
-def _light(room: Room, generator: Generator) -> NDArray[np.float32]:
+def sample_light(room: Room, generator: Generator) -> NDArray[np.float32]:
     """Directions, colours and softness, see :func:`scripts.training.render.raster.shade`."""
     first, second = generator.normal(size=3), generator.normal(size=3)
     first[1] = abs(first[1]) + 0.4
@@ -249,7 +249,7 @@ def _photograph(
     hides = bool(generator.random() < HIDDEN)
     things = things + clutter_about(camera, target, floor, hides, materials, generator)
     room = build_room(np.stack([camera.place, low, high]), floor, generator)
-    light = _light(room, generator)
+    light = sample_light(room, generator)
     smallest, largest = HEIGHTS_PX
     if generator.random() < 0.88:
         smallest = USUALLY_ABOVE_PX
@@ -265,7 +265,7 @@ def _photograph(
         return None
     centre = -begin * scale - 0.5
     scene = joined([subject, *things])
-    view = _Drawing(camera, float(scale), centre, (rows, columns))
+    view = Drawing(camera, float(scale), centre, (rows, columns))
     picture, nearness, shown = view.draw(scene, room, light, target, materials, generator)
     own = (shown != NOTHING) & (shown < len(subject.triangles))
     whole = view.covers(subject)
@@ -316,7 +316,7 @@ def _pixel_aspect(generator: Generator) -> float:
 
 def _shown(
     landmarks: NDArray[np.float64],
-    view: _Drawing,
+    view: Drawing,
     nearness: NDArray[np.float32],
     shown: NDArray[np.int32],
     own: int,
@@ -335,7 +335,7 @@ def _shown(
 
 
 @dataclass(frozen=True)
-class _Drawing:
+class Drawing:
     """A part of a camera's frame drawn at a resolution."""
 
     camera: Camera
