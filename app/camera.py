@@ -15,6 +15,7 @@ from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import TrackedPeopleDetector
+from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
 from app.tracking.view import View
@@ -36,11 +37,9 @@ _MAX_GAP_S = 10.0
 # A frame that is late by more than this was not overtaken by another one: the clock was set, or an
 # earlier timestamp was wrong.
 _MAX_LATE_S = 5.0
-# Time without a sighting after which a track is dropped: usually, and for a person who is hidden
-# behind another one or vanished away from the frame's border.
-_DROPPED_AFTER_S, _PREDICTED_FOR_S = 0.5, 2.0
-# Share of a person's box that another must cover to hide them.
-_HIDDEN_SHARE = 0.5
+# Time without a sighting after which a track is dropped; longer for people who are hidden behind
+# others or vanished away from the frame's border.
+_DROPPED_AFTER_S = 0.5
 
 
 class LateFrameError(ValueError):
@@ -360,42 +359,22 @@ class CameraSession:
             hidden = named and self._hidden_box(track, timestamp) is not None
             track.hidden |= hidden
             predicted = hidden or (named and self._vanished(track))
-            longest = _PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
+            longest = PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
-                events, stays = track.lose(
-                    frame,
-                    timestamp,
-                    alone=self._covered(track, track.box_filter.seen, timestamp) == 0,
-                )
+                place = track.box_filter.seen
+                covered = covered_share(track, place, self._tracks, timestamp)
+                events, stays = track.lose(frame, timestamp, alone=covered == 0)
                 self._events += events
                 if not stays:
                     continue
             kept.append(track)
         self._tracks = kept
 
-    def _covered(self, track: Track, place: Box, timestamp: float) -> float:
-        """Largest share of a person's place that the box of another tracked person covers."""
-        others = (
-            other.box_filter.seen.intersection(place) / place.area
-            for other in self._tracks
-            if other is not track and other.track_id is not None and other.seen_at == timestamp
-        )
-        return max(others, default=0.0)
-
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
-        """Predicted box of a person hidden behind another person; None if nobody hides them."""
-        if self._rectification is None or timestamp - track.seen_at > _PREDICTED_FOR_S:
+        """Where a person is expected whom another one hides; None if nobody does."""
+        if self._rectification is None:
             return None
-        height, width = self._rectification.upright
-        box = track.box_filter.predict(timestamp).clip(width, height)
-        others = [
-            other.box_filter.predict(timestamp)
-            for other in self._tracks
-            if other is not track and other.seen_at == timestamp
-        ]
-        if box and any(other.intersection(box) >= _HIDDEN_SHARE * box.area for other in others):
-            return box
-        return None
+        return hidden_box(track, self._tracks, self._rectification.upright, timestamp)
 
     def _vanished(self, track: Track) -> bool:
         """Whether a person found by the detector was last seen away from the border."""
@@ -427,7 +406,7 @@ class CameraSession:
                 timestamp,
                 zones,
                 frame_shape=upload.frame.shape,
-                covered=self._covered(track, person.box, timestamp),
+                covered=covered_share(track, person.box, self._tracks, timestamp),
             )
             self._events += events
             tracked.append(replace(result, hypotheses=result.hypotheses[:n]))

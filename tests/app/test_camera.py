@@ -13,7 +13,8 @@ from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import DeadlineError, Job
 from app.tracking import actions, falls
-from app.tracking.results import TrackedFrame
+from app.tracking.events import EventDetector
+from app.tracking.results import Event, TrackedFrame
 from app.vision.geometry import Box
 from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import WALKERS, png
@@ -225,6 +226,26 @@ def test_a_hidden_person_stays_where_they_are_expected(session: CameraSession) -
         assert ids(with_boxes(step / 10, 105)) == [1, 2]
     later = with_boxes(2.8, 105)
     assert ids(later) == [2] and events(later) == [("left", 1)]
+
+
+def test_who_was_hidden_does_not_fall_when_lost(
+    session: CameraSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However likely the fall seemed: another one walked in front of them, then on."""
+    monkeypatch.setattr(EventDetector, "lost", lambda *_: [Event("fell", 1, "instant", 0.0, 1.0)])
+    for step in range(12):
+        left = 180 - 10 * step
+        boxes = [Box(left - 0.5, 59.5, 30, PERSON)]
+        if left > 120:
+            boxes.append(Box(99.5, 59.5, 30, PERSON))
+        seen = session.process(Upload(draw((0, left)), boxes=tuple(boxes)), step / 10, 3, Job())
+    assert ids(seen) == [1]
+    fell = []
+    for step in range(12, 40):
+        boxes = (Box(69.5, 59.5, 30, PERSON),)
+        result = session.process(Upload(draw((0, 70)), boxes=boxes), step / 10, 3, Job())
+        fell += [event.event for event in result.events]
+    assert "fell" not in fell and "left" in fell
 
 
 def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
