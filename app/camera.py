@@ -405,7 +405,7 @@ class CameraSession:
                 person,
                 timestamp,
                 zones,
-                frame_shape=upload.frame.shape,
+                frame=upload.frame,
                 covered=covered_share(track, person.box, self._tracks, timestamp),
             )
             self._events += events

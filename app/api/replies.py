@@ -466,6 +466,7 @@ def _tracked_person(
         action=_action(tracked.action) if tracked.action else None,
         zones=list(tracked.zones),
         caller_track_id=tracked.caller_track_id,
+        still_s=None if tracked.still_s is None else round(tracked.still_s, SECOND_DIGITS),
     )
 
 

@@ -216,6 +216,12 @@ class TrackedPerson(Person):
         "if none was given.",
         examples=["17"],
     )
+    still_s: FiniteFloat | None = Field(
+        ge=600,
+        description="Seconds for which the person has looked the same, from ten minutes on: a "
+        "statue, a screen, a poster, or somebody asleep. Otherwise null.",
+        examples=[None],
+    )
 
 
 class Event(Model):

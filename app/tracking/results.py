@@ -69,7 +69,8 @@ class TrackedPerson(Person):
 
     ``age_frames`` includes this one. There is no pose if the track has had no silhouette for a
     second; no action until enough frames have been seen, and if none is likely. The caller may have
-    given the person's box an identity of their own.
+    given the person's box an identity of their own. ``still_s`` is the time since which the person
+    looks the same, once it is so long that they may be a statue or a poster.
     """
 
     track_id: int
@@ -78,6 +79,7 @@ class TrackedPerson(Person):
     action: RecognisedAction | None
     zones: tuple[str, ...] = ()
     caller_track_id: str | None = None
+    still_s: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

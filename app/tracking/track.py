@@ -44,6 +44,8 @@ _CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
 _RELIABILITY_EXPONENT = 0.25
 # Time in which a person comes to rest who is lost while falling.
 _COMES_TO_REST_S = 2.0
+# Time in which the picture of a person stays the same, from which they may be a statue or a poster.
+_STILL_FROM_S = 600.0
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1
 
@@ -73,6 +75,7 @@ class Track:
         self.hidden = False
         """Whether another person was where they were expected, since they were seen."""
         self._patch, self._rests_from = person.patch, -math.inf
+        self._still, self._still_from = person.patch, timestamp
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the person is looked for next."""
         self.beside = person.beside
@@ -143,17 +146,18 @@ class Track:
         timestamp: float,
         zones: Sequence[Zone] = (),
         *,
-        frame_shape: tuple[int, ...],
+        frame: NDArray[np.uint8],
         covered: float = 0.0,
     ) -> tuple[TrackedPerson, list[Event]]:
         """Add what a frame shows of the body; if nothing, the last pose moves with the person.
 
-        The person is as estimated from this frame alone, which has rows and columns. With
+        The person is as estimated from this frame ``(H, W, 3)`` alone. With
         landmarks, all but the pose follows from these, so that it does not matter whether the
         person has hypotheses. ``covered`` is the share of their box that another person's covers.
         What begins, ends or happens with it is returned as well.
         """
         track_id = self._known_id()
+        self._compare(person, frame, covered, timestamp)
         body, shares, smoothed = SeenBody.of(person), None, None
         if body is not None:
             motion = self._motion_filter.update(timestamp, person.whole_box, body)
@@ -175,11 +179,20 @@ class Track:
             timestamp,
             shares,
             _reliability(person, confidence),
-            _observation(person, shares, confidence, frame_shape, covered),
+            _observation(person, shares, confidence, frame.shape, covered),
             rests=is_rest(self._zone_watch.zones),
         )
         tracked = self._tracked(person, pose, timestamp)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
+
+    def _compare(
+        self, person: Person, frame: NDArray[np.uint8], covered: float, timestamp: float
+    ) -> None:
+        """Keep the picture since which the person looks the same, whoever passes before them."""
+        if person.patch is None or covered > 0:
+            return
+        if self._still is None or not self._still.is_shown_by(frame):
+            self._still, self._still_from = person.patch, timestamp
 
     def _add_body(
         self,
@@ -282,6 +295,7 @@ class Track:
     def _tracked(
         self, person: Person, pose: SmoothedPose | None, timestamp: float
     ) -> TrackedPerson:
+        still_s = timestamp - self._still_from if self._still is not None else 0.0
         known = {"facing": self._facing, "posture": self._posture}
         if timestamp - self._body_at > EXTRAPOLATED_S:
             known = {}
@@ -293,6 +307,7 @@ class Track:
             action=self._action,
             zones=self._zone_names(),
             caller_track_id=self.caller_id,
+            still_s=still_s if still_s >= _STILL_FROM_S else None,
         )
 
 

@@ -17,7 +17,7 @@ from app.vision.same_person import same_probabilities
 from tests.app.tracking.people import person_of, seen_from
 
 BOX = Box(100, 100, 30, 80)
-FRAME = (480, 640)
+FRAME = np.zeros((480, 640, 3), np.uint8)
 
 
 def detected(score: float | None = 0.9, person: float | None = None, **fields: object) -> Person:
@@ -111,7 +111,7 @@ def test_poses_make_events_with_zones_and_the_callers_identity() -> None:
     events = [track.confirm(4, 0.0, [corridor])]
     for step in range(20):
         track.see(person, step / 10)
-        tracked, new = track.update(person, step / 10, [corridor], frame_shape=FRAME)
+        tracked, new = track.update(person, step / 10, [corridor], frame=FRAME)
         events += new
         assert tracked.pose is not None
     events += track.end(2.0)
@@ -129,11 +129,34 @@ def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() ->
     hidden = replace(person, facing=None, posture=None, hypotheses=())
     track = track_of(person)
     track.confirm(1, 0.0, [])
-    shown, _ = track.update(person, 0.0, frame_shape=FRAME)
-    kept, _ = track.update(hidden, 0.5, frame_shape=FRAME)
+    shown, _ = track.update(person, 0.0, frame=FRAME)
+    kept, _ = track.update(hidden, 0.5, frame=FRAME)
     assert kept.pose is not None and kept.posture == shown.posture
-    lost, _ = track.update(hidden, 9.0, frame_shape=FRAME)
+    lost, _ = track.update(hidden, 9.0, frame=FRAME)
     assert lost.pose is None and lost.posture is None
+
+
+def test_who_looks_the_same_for_ten_minutes_is_marked_whoever_passes_before_them() -> None:
+    rng = np.random.default_rng(0)
+    frame = rng.integers(0, 255, FRAME.shape, dtype=np.uint8)
+    passing, moved = FRAME.copy(), np.roll(frame, 7, axis=1)
+    person = replace(person_of([seen_from(0.0)], [0.9]), patch=Patch.of(frame, BOX))
+    track = track_of(person)
+    track.confirm(1, 0.0, [])
+    marked = {}
+    shown = {300: (passing, 0.4), 900: (moved, 0.0)}
+    for timestamp in range(0, 1560, 60):
+        picture, covered = shown.get(timestamp, (frame, 0.0))
+        seen = replace(person, patch=Patch.of(picture, BOX))
+        track.see(seen, timestamp)
+        result, _ = track.update(seen, timestamp, frame=picture, covered=covered)
+        marked[timestamp] = result.still_s
+    times = {timestamp for timestamp, still_s in marked.items() if still_s is not None}
+    assert times == set(range(600, 900, 60))
+    assert marked[660] == 660
+    bare = track_of(person_of([seen_from(0.0)], [0.9]))
+    bare.confirm(1, 0.0, [])
+    assert bare.update(person, 900.0, frame=frame)[0].still_s is None
 
 
 @pytest.mark.parametrize("doubtful", ["landmarks", "nothing"])
@@ -144,10 +167,10 @@ def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful:
                      trust=Trust(0.99, 0.98))  # fmt: skip
     track = track_of(person)
     track.confirm(1, 0.0, [])
-    track.update(person, 0.0, frame_shape=FRAME)
+    track.update(person, 0.0, frame=FRAME)
     low = replace(person, frame_posture=lying, trust=trust)
     track.see(low, 0.2)
-    tracked, _ = track.update(low, 0.2, frame_shape=FRAME)
+    tracked, _ = track.update(low, 0.2, frame=FRAME)
     assert tracked.posture is not None
     share = tracked.posture.share(["lying", "crawling"])
     kept = np.exp(-0.2 / 0.4 * (0.01**0.25 if doubtful == "landmarks" else 0.98**0.25))
@@ -157,7 +180,7 @@ def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful:
 def falling_unseen() -> tuple[Track, NDArray[np.uint8]]:
     """The track of a person who falls within 4.6 s, not yet reported, and the picture then."""
     stands, lies = Box(300, 150, 70, 200), Box(240, 290, 190, 65)
-    frame = np.zeros((*FRAME, 3), np.uint8)
+    frame = FRAME.copy()
     frame[290:355, 240:430] = 200
 
     def seen(box: Box, posture: int) -> Person:
@@ -172,7 +195,7 @@ def falling_unseen() -> tuple[Track, NDArray[np.uint8]]:
     for number, (box, posture) in enumerate([*falling, (lies, 5), (lies, 5)]):
         person = seen(box, posture)
         track.see(person, number / 5)
-        _, events = track.update(person, number / 5, frame_shape=FRAME)
+        _, events = track.update(person, number / 5, frame=FRAME)
         assert "fell" not in {event.event for event in events}
     return track, frame
 
@@ -204,7 +227,7 @@ def test_a_person_who_is_lost_behind_another_one_is_not_reported_as_fallen() -> 
 
 def test_only_a_confirmed_track_has_results() -> None:
     with pytest.raises(ValueError, match="expected a confirmed track"):
-        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1, frame_shape=FRAME)
+        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1, frame=FRAME)
 
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))
