@@ -11,7 +11,7 @@ import numpy as np
 
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
-from app.estimation.posture import estimate_posture, vote_posture
+from app.estimation.posture import as_standing, estimate_posture
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
@@ -193,12 +193,10 @@ def fit_poses(
     hypotheses = found.hypotheses
     presence = 1.0 if person.presence is None else person.presence
     confidences = [presence * one.confidence for one in hypotheses]
-    voters = found.voters
-    postures = [one.posture for one in voters]
+    shares = found.postures
     if not normalised.feet_visible:  # Nothing shows whether a person upright walks.
-        postures = ["standing" if one in ("walking", "running") else one for one in postures]
-    votes = vote_posture(postures, [one.confidence for one in voters])
-    posture = estimate_posture(votes, person.frame_posture, presence, max(confidences))
+        shares = as_standing(shares)
+    posture = estimate_posture(shares, person.frame_posture, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(
         np.array([one.points_3d for one in hypotheses[:n]]),

@@ -1,8 +1,8 @@
 """The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it.
 
 Beside the index may lie a network that re-ranks hypotheses: ``reranking.npz`` holds its weights,
-``reranking.json`` their SHA-256 and the constants fitted to it. Without it, hypotheses are ordered
-by distance alone.
+``reranking.json`` their SHA-256 and the constants fitted to it, and ``postures.npz`` what reads
+postures from this very network. Without it, hypotheses are ordered by distance alone.
 """
 
 import hashlib
@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import restore
 from index.confidence import RERANKING_FEATURES, Calibration
-from index.network import JointNetwork, RankingModel
+from index.network import JointNetwork
+from index.reranking import RankingModel
 from index.search import ExactNeighbours, Neighbours
+from index.silhouette_posture import PostureNetwork
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -36,6 +38,7 @@ SILHOUETTES = "silhouettes.npy"
 
 RERANKING_FORMAT_VERSION = 2
 RERANKING_JSON, RERANKING_NPZ = "reranking.json", "reranking.npz"
+POSTURES_NPZ = "postures.npz"
 
 _PARSING = Lock()
 """NumPy parses a header with :func:`ast.literal_eval`, which is not thread-safe in Python 3.11:
@@ -129,11 +132,25 @@ def load_reranker(folder: Path) -> RankingModel | None:
             float(manifest["order_weight"]),
             float(manifest["support_weight"]),
             (columns, rows, depths),
+            _load_postures(folder / POSTURES_NPZ, manifest["sha256"]),
         )
     except ArtefactError:
         raise
     except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
         raise ArtefactError(f"{file} and {weights.name} do not hold together: {error}") from error
+
+
+def _load_postures(file: Path, network_sha256: str) -> PostureNetwork | None:
+    """Read what estimates postures beside a network; None if there is nothing."""
+    if not file.exists():
+        return None
+    with np.load(file, allow_pickle=False) as stored:
+        arrays = dict(stored)
+    if str(arrays["network_sha256"]) != network_sha256:
+        raise ArtefactError(
+            f"{file} was trained for another network: `python -m scripts train-silhouette-postures`"
+        )
+    return PostureNetwork.restore(arrays)
 
 
 def _restore(

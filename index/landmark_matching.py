@@ -39,6 +39,7 @@ from index.matching import (
     Query,
     headings,
     unlike,
+    votes_of,
     with_later_batches,
 )
 from index.modes import Modes, depth_modes, find_modes, likely_weights
@@ -113,7 +114,7 @@ def match_landmarks(
             chosen, ascending.tolist(), outline_px.tolist(), strict=True
         )
     ]
-    return Match(hypotheses, front_probability, voters)
+    return Match(hypotheses, front_probability, voters, votes_of(voters))
 
 
 def _weighted(

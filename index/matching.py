@@ -17,7 +17,14 @@ from descriptor.silhouette import outline_distances
 from index.candidates import Candidates, RotatedQuery
 from index.facing import azimuth_deg
 from index.modes import Modes
-from index.posture import POSTURES, PostureName, camera_up, classify_postures, lying_elevation_deg
+from index.posture import (
+    POSTURES,
+    PostureName,
+    camera_up,
+    classify_postures,
+    lying_elevation_deg,
+    vote_posture,
+)
 from index.skeleton import POINTS, mean_joint_distance, rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
 
@@ -132,11 +139,15 @@ class Match:
         face it, as a share of the confidence of all. It does not depend on how many were requested.
     voters : list of PoseHypothesis
         Those that decide the posture, likewise: modes, but no alternatives in depth and no twin.
+    postures : (10,) float64 array
+        Share of each of :data:`index.posture.POSTURES`: in the votes of the voters, weighted by
+        confidence; of a silhouette alone, if there is a network, their probabilities.
     """
 
     hypotheses: list[PoseHypothesis]
     front_probability: float
     voters: list[PoseHypothesis]
+    postures: NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -252,6 +263,11 @@ def unlike(
     poses, earlier = (np.array([one.points_3d for one in some]) for some in (others, known))
     nearest = mean_joint_distance(poses[:, None], earlier).min(axis=1)
     return [one for one, m in zip(others, nearest, strict=True) if m >= MIN_NEW_POSE_M]
+
+
+def votes_of(voters: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
+    """Shares ``(10,)`` of postures among hypotheses, weighted by their confidences."""
+    return vote_posture([one.posture for one in voters], [one.confidence for one in voters])
 
 
 def headings(hypotheses: Sequence[PoseHypothesis]) -> NDArray[np.float64]:

@@ -17,14 +17,12 @@ References
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH
-from index.confidence import RERANKING_FEATURES, Calibration
 from index.skeleton import JOINTS, OTHER_SIDE
 
 Array = NDArray[np.float32]
@@ -196,6 +194,14 @@ class Distributions:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What the network makes of a silhouette, the mean of it and of its mirror image."""
+
+    joints: Distributions
+    hidden: Array  # (512,): whole numbers from 0 to 127, the values of the hidden layer
+
+
+@dataclass(frozen=True)
 class Layer:
     """A linear layer on quantised values."""
 
@@ -253,22 +259,27 @@ class JointNetwork:
         if got != LAYER_SHAPES:
             raise ValueError(f"expected layers of shapes {LAYER_SHAPES}, got {got}")
 
-    def distributions(self, silhouette: NDArray[np.uint8]) -> Distributions:
+    def read(self, silhouette: NDArray[np.uint8]) -> Reading:
         """Predict where the joints of a silhouette ``(128, 48)`` may be.
 
         The result is the mean for the silhouette and for its mirror image, which is more accurate
         than one pass and exactly symmetric under mirroring.
         """
         planes, mirrored = network_input(np.stack([silhouette, silhouette[:, ::-1]]))
-        return self.forward(planes).mean(self.forward(mirrored).mirrored())
+        (joints, hidden), (others, other_hidden) = self.forward(planes), self.forward(mirrored)
+        return Reading(joints.mean(others.mirrored()), np.rint((hidden + other_hidden) / 2))
 
-    def forward(self, planes: Array) -> Distributions:
-        """Run the network on the input planes ``(64, 24, 3)`` of one silhouette."""
+    def forward(self, planes: Array) -> tuple[Distributions, Array]:
+        """Run the network on the input planes ``(64, 24, 3)`` of one silhouette.
+
+        Returns the distributions, and the values ``(512,)`` of the hidden layer.
+        """
         *inner, output = self.layers
         values = quantise(planes)
         for number, layer in enumerate(inner):
             values = quantised_relu(layer(layer_input(number, values)))
-        return Distributions(log_softmax(output(values).reshape(JOINTS, JOINT_BINS)))
+        logits = output(values).reshape(JOINTS, JOINT_BINS)
+        return Distributions(log_softmax(logits)), values
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> JointNetwork:
@@ -333,34 +344,3 @@ def _windows(values: Array, size: int, stride: int) -> Array:
         writeable=False,
     )
     return cut.reshape(rows, columns, -1)
-
-
-@dataclass(frozen=True)
-class RankingModel:
-    """The network and the confidence that was fitted with it."""
-
-    network: JointNetwork
-    calibration: Calibration  # over :data:`index.confidence.RERANKING_FEATURES`
-    # JSON values that describe the training data.
-    training: dict[str, Any] = field(default_factory=dict)
-    # Weight of the joints' log-likelihood relative to the logarithm of the distance, in the order
-    # of hypotheses. Both weights were chosen on clips and bodies that neither the network nor the
-    # experiment on simulated silhouettes has.
-    order_weight: float = 3.0
-    support_weight: float = 1.0  # the same for the candidates from which hypotheses are made
-    # Standard deviation of a joint from its place in a mode: columns and rows in pixels, depth in
-    # metres; with zeros, joints do not move. Chosen on every second clip of the experiment on
-    # simulated silhouettes; 2 to 4 pixels do equally well.
-    spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
-
-    def __post_init__(self) -> None:
-        if self.calibration.features != RERANKING_FEATURES:
-            raise ValueError(
-                f"expected a calibration over {', '.join(RERANKING_FEATURES)}, "
-                f"got one over {', '.join(self.calibration.features)}"
-            )
-
-    @classmethod
-    def of(cls, network: JointNetwork) -> RankingModel:
-        """A network without a fitted confidence: every hypothesis gets 0.5."""
-        return cls(network, Calibration.none(RERANKING_FEATURES))

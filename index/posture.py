@@ -5,6 +5,7 @@ in the order of the table in ``docs/index.md``; the first that holds decides. Th
 *person* follows from the votes of skeletons: :mod:`app.estimation.posture`.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -47,15 +48,19 @@ _MAX_LOWERED_HEIGHT = 0.8
 # Largest height of a pelvis that rests on the floor.
 _MAX_FLOOR_HEIGHT = 0.3
 # Largest height of a knee on the floor.
-_MAX_KNEE_HEIGHT = 0.2
-# Largest height of a knee on the floor above its ankle.
-_MAX_SHANK_RISE = 0.2
+_MAX_KNEE_HEIGHT = 0.12
+# Largest height of a knee on the floor above or below its ankle: toes may be tucked in.
+_MAX_SHANK_RISE = 0.35
+# Least height of the pelvis of a person on the knees, who may rest on the heels.
+_MIN_KNEELING_HEIGHT = 0.2
 # Horizontal distance of the centre of mass from the feet beyond which something else carries the
 # body.
 _MIN_UNSUPPORTED = 0.15
-# A person whose thighs are this level, with the trunk this upright and the pelvis at the height of
-# a seat, sits even if the feet could carry the body.
-_MAX_LEVEL_THIGH_DEG, _MAX_SEATED_TRUNK_DEG, _MIN_SEAT_HEIGHT = 25.0, 20.0, 0.5
+# A person whose thighs are level on average, with neither one steep and the pelvis at the height of
+# a seat, sits even if the feet could carry the body: the trunk is upright or both shanks are steep.
+# Who squats leans the shanks forward to keep the balance.
+_MAX_LEVEL_THIGH_DEG, _MAX_STEEP_THIGH_DEG, _MIN_SEAT_HEIGHT = 25.0, 50.0, 0.5
+_MAX_SEATED_TRUNK_DEG, _MIN_SEATED_SHANK_DEG = 20.0, 55.0
 # Least tilt of a trunk that is bent over standing legs, and over lowered legs.
 _MIN_BENT_DEG, _MIN_BENT_LOW_DEG = 45.0, 60.0
 
@@ -126,21 +131,19 @@ def classify_postures(
     every = np.arange(len(joints))
     shank_rise = np.abs(bodies.along_up(shanks)[every, lower]) / leg
     on_knee = (knees[every, lower] < _MAX_KNEE_HEIGHT) & (shank_rise < _MAX_SHANK_RISE)
-    thigh_deg = np.abs(_degrees((bodies.along_up(thighs) / thigh_lengths).mean(axis=1), np.arcsin))
-    seated = (
-        (thigh_deg < _MAX_LEVEL_THIGH_DEG)
-        & (tilt_deg < _MAX_SEATED_TRUNK_DEG)
-        & (pelvis > _MIN_SEAT_HEIGHT)
-    )
+    unsupported = _distance_from_feet(bodies) / leg > _MIN_UNSUPPORTED
+    seated = _has_seated_legs(bodies, tilt_deg) & (pelvis > _MIN_SEAT_HEIGHT)
 
     horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
     lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
-    unsupported = _distance_from_feet(bodies) / leg > _MIN_UNSUPPORTED
     conditions: dict[PostureName, NDArray[np.bool_]] = {
         "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & (height["chest"] < _MAX_LYING_HEIGHT),
-        "crawling": horizontal & (hand < _MAX_HAND_HEIGHT) & (pelvis < _MAX_CRAWLING_HEIGHT),
-        "kneeling": lowered & on_knee & ~on_floor,
-        "sitting": lowered & (on_floor | unsupported | seated),
+        "crawling": horizontal
+        & unsupported
+        & (hand < _MAX_HAND_HEIGHT)
+        & (pelvis < _MAX_CRAWLING_HEIGHT),
+        "kneeling": lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT),
+        "sitting": seated | (lowered & (on_floor | unsupported)),
         "bending": (tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
         "crouching": lowered,
         "arms_raised": (height["left_wrist"] > height["head"])
@@ -153,6 +156,17 @@ def classify_postures(
         [POSTURES.index(posture) for posture in conditions],
         POSTURES.index("standing"),
     )
+
+
+def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
+    """Share ``(10,)`` of each of ``POSTURES`` in the votes of one or more hypotheses.
+
+    They vote for their postures with their confidences.
+    """
+    votes = np.zeros(len(POSTURES))
+    for posture, weight in zip(postures, weights, strict=True):
+        votes[POSTURES.index(posture)] += weight + 1e-9  # Equal votes if all weights are 0.
+    return np.asarray(votes / votes.sum())
 
 
 def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
@@ -173,6 +187,18 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
     return np.clip(elevation_deg, 0.0, _MAX_ELEVATION_DEG)
+
+
+def _has_seated_legs(bodies: _Skeletons, tilt_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether legs ``(N,)`` are bent as on a seat, below trunks with these tilts."""
+    thigh_sines, shank_sines = (
+        bodies.along_up(bones) / np.linalg.norm(bones, axis=-1)
+        for bones in (bodies.bones("hip", "knee"), bodies.bones("knee", "ankle"))
+    )
+    level = np.abs(_degrees(thigh_sines.mean(axis=1), np.arcsin)) < _MAX_LEVEL_THIGH_DEG
+    level &= _degrees(thigh_sines.max(axis=1), np.arcsin) < _MAX_STEEP_THIGH_DEG
+    steep = _degrees(shank_sines.min(axis=1), np.arcsin) > _MIN_SEATED_SHANK_DEG
+    return np.asarray(level & ((tilt_deg < _MAX_SEATED_TRUNK_DEG) | steep))
 
 
 def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from index.candidates import Candidates
 from index.confidence import Calibration
 from index.modes import Modes
-from index.network import Distributions, RankingModel, joint_positions
+from index.network import Distributions, Reading, joint_positions
+from index.reranking import RankingModel
 from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 (_PELVIS,) = rows("pelvis")
@@ -58,6 +59,13 @@ class DistanceRanking:
         """Features ``(M, F)`` of modes for the calibration, from plain ones ``(M, 11)``."""
         return plain
 
+    def postures(self, votes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
+        """Shares ``(10,)`` of ``POSTURES``, from those among hypotheses.
+
+        ``roll_deg`` is not 0 if the silhouette was rotated upright.
+        """
+        return votes
+
 
 @dataclass(frozen=True)
 class NetworkRanking(DistanceRanking):
@@ -66,12 +74,17 @@ class NetworkRanking(DistanceRanking):
     candidates: ClassVar[int] = 200  # The network ranks a few more usefully.
 
     model: RankingModel
-    joints: Distributions
+    reading: Reading
+
+    @property
+    def joints(self) -> Distributions:
+        """Where the joints may be."""
+        return self.reading.joints
 
     @classmethod
     def of(cls, model: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
         """Run the network on a silhouette ``(128, 48)``."""
-        return cls(model.calibration, model, model.network.distributions(silhouette))
+        return cls(model.calibration, model, model.network.read(silhouette))
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
         """Mean log probability ``(N,)`` of the joints of candidates or modes."""
@@ -132,3 +145,9 @@ class NetworkRanking(DistanceRanking):
                 error**2,
             ]
         )
+
+    def postures(self, votes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
+        """Probabilities ``(10,)`` of ``POSTURES``, if there is a network that reads them."""
+        if self.model.postures is None:
+            return votes
+        return self.model.postures.shares(self.reading.hidden, roll_deg, votes)

@@ -22,6 +22,7 @@ from index.matching import (
     PoseHypothesis,
     Query,
     headings,
+    votes_of,
     with_later_batches,
 )
 from index.modes import Modes, candidate_weights, find_modes
@@ -46,7 +47,12 @@ def match_silhouette(
     voters, first = query.first_batch()
     found, _ = with_later_batches(query.batch, first, n)
     votes = np.array([one.confidence for one in voters])
-    return Match(found[: max(n, DEFAULT_HYPOTHESES)], front_share(headings(voters), votes), voters)
+    return Match(
+        found[: max(n, DEFAULT_HYPOTHESES)],
+        front_share(headings(voters), votes),
+        voters,
+        query.ranking.postures(votes_of(voters), roll_deg),
+    )
 
 
 class _SilhouetteQuery(Query):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
 from index.confidence import Calibration
-from index.network import RankingModel
+from index.reranking import RankingModel
 from index.search import (
     LANDMARK_DIMENSION,
     ExactNeighbours,

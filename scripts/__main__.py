@@ -12,6 +12,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 COMMANDS = {
     "build": ("scripts.build", "build an index from motion capture"),
     "train-reranker": ("scripts.training.train_reranker", "train the network that re-ranks"),
+    "train-silhouette-postures": (
+        "scripts.training.train_silhouette_postures",
+        "train the postures of silhouettes alone",
+    ),
     "train-actions": ("scripts.training.train_actions", "train the model of actions"),
     "train-elevation": (
         "scripts.training.train_elevation",
@@ -110,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def usage() -> str:
     """Return the list of commands."""
-    lines = [f"  {name:17} {line}" for name, (_, line) in COMMANDS.items()]
+    lines = [f"  {name:25} {line}" for name, (_, line) in COMMANDS.items()]
     return "\n".join(["python -m scripts COMMAND [arguments]", "", *lines])
 
 

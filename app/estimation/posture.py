@@ -2,8 +2,8 @@
 
 Rules name the posture of every hypothesis (:mod:`index.posture`), which votes with its confidence.
 Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`). Of a frame with
-landmarks, the six decide, and the votes split them into finer ones; without landmarks, the votes
-decide. Over the frames of a track, both are averaged.
+landmarks, the six decide, and the votes split them into finer ones. Without landmarks, the
+silhouette decides (:mod:`index.silhouette_posture`). Over the frames of a track, both are averaged.
 """
 
 import math
@@ -38,10 +38,6 @@ MIN_PROBABILITY = 0.5
 # above 0.8 from a confidence of 0.2.
 _CONFIDENCE_SLOPE = 1.5
 
-# Probability that hypotheses of a silhouette alone are right about the group if all agree: of 2,261
-# simulated silhouettes of held-out clips, 95 %.
-_AGREED_VOTES_RIGHT = 0.95
-
 # Share given to every posture for which no hypothesis votes.
 _MIN_VOTE = 1e-3
 
@@ -62,31 +58,36 @@ class EstimatedPosture:
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
-def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Share ``(10,)`` of each of ``POSTURES`` in the votes of one or more hypotheses.
-
-    They vote for their postures with their confidences.
-    """
-    votes = np.zeros(len(POSTURES))
-    for posture, weight in zip(postures, weights, strict=True):
-        votes[POSTURES.index(posture)] += weight + 1e-9  # Equal votes if all weights are 0.
-    return np.asarray(votes / votes.sum())
-
-
 def estimate_posture(
     votes: NDArray[np.float64],
     frame_posture: FramePosture | None,
     presence: float = 1.0,
     confidence: float = 1.0,
 ) -> EstimatedPosture:
-    """Estimate a posture from votes ``(10,)``, see :func:`vote_posture`, and the landmarks if any.
+    """Estimate a posture from shares ``(10,)`` of ``POSTURES``, and the landmarks if any.
 
-    ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
-    hypothesis.
+    The shares are those of :class:`index.matching.Match`. ``presence`` is the probability that
+    there is a person at all, ``confidence`` that of the best hypothesis.
     """
     if frame_posture is None:
-        return likeliest_posture(votes, _AGREED_VOTES_RIGHT * presence, confidence)
+        return likeliest_posture(votes, presence, confidence)
     return likeliest_posture(shares_of(frame_posture, votes), presence, confidence)
+
+
+def with_upright_votes(
+    shares: NDArray[np.float64], votes: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Shares ``(10,)`` of a silhouette, those who are upright divided by other votes ``(10,)``."""
+    members = _MEMBERS[GROUPS.index(UPRIGHT)]
+    within = np.where(members, votes + _MIN_VOTE, 0.0)
+    return np.where(members, shares[members].sum() * within / within.sum(), shares)
+
+
+def as_standing(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same shares ``(10,)``, but all who walk or run stand."""
+    moving = np.isin(POSTURES, ("walking", "running"))
+    standing = np.array([posture == "standing" for posture in POSTURES])
+    return np.where(moving, 0.0, shares + standing * shares[moving].sum())
 
 
 def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -157,14 +158,12 @@ class PostureFilter:
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
         """Add a frame; return the track's posture, and the shares ``(10,)`` of this frame alone.
 
-        The votes ``(10,)`` are those of the hypotheses, ``frame_posture`` is from the landmarks, if
-        any were read. ``presence`` is the probability that these are a person's, ``weight`` that of
-        the frame, 0 to 1.
+        The votes ``(10,)`` are those of the hypotheses or, without landmarks, the frame's shares;
+        ``frame_posture`` is from the landmarks, if any were read. ``presence`` is the probability
+        that these are a person's, ``weight`` that of the frame, 0 to 1.
         """
         shares = votes
-        if frame_posture is None:
-            presence *= _AGREED_VOTES_RIGHT
-        else:
+        if frame_posture is not None:
             # If the network does not recognise the person, only the shape of the box shows lying.
             lying = self._wide(box) * _LYING
             shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying

@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import vote_posture
 from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
 from index.facing import azimuth_deg
-from index.posture import UPRIGHT
+from index.posture import UPRIGHT, vote_posture
 from index.skeleton import POINT_NAMES, bone_lengths, mean_joint_distance, with_bone_lengths
 
 _SHOULDERS, _HIPS = (

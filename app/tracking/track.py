@@ -14,7 +14,7 @@ from app.estimation.posture import (
     EstimatedPosture,
     PostureFilter,
     frame_shares,
-    vote_posture,
+    with_upright_votes,
 )
 from app.estimation.results import Facing, FacingSource, Person
 from app.tracking.actions import ActionRecogniser, PoseSample
@@ -29,7 +29,7 @@ from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
-from index.posture import POSTURES, PostureName, camera_up, classify_postures
+from index.posture import POSTURES, PostureName, camera_up, classify_postures, vote_posture
 
 # With landmarks: the probability of a person from which a track counts as one.
 _MIN_PROBABILITY = 0.9
@@ -215,6 +215,8 @@ class Track:
             )
         elif smoothed is not None:
             votes = smoothed.votes
+            if person.posture is not None and person.frame_posture is None:
+                votes = with_upright_votes(person.posture.shares, votes)
             sample = PoseSample.of(timestamp, smoothed.pose, motion.elevation_deg)
         self._posture, shares = self._posture_filter.update(
             timestamp,

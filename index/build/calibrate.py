@@ -15,7 +15,7 @@ from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.build.views import MAX_OWN_ROLL_DEG
 from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration
-from index.matching import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES, votes_of
 from index.posture import POSTURES
 from index.silhouette_matching import match_silhouette
 from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
@@ -97,8 +97,9 @@ class Trial:
     twin_error_px: NDArray[np.float64]
     # (Q, N): mean joint error in camera axes, pelvis on pelvis, metres.
     error_m: NDArray[np.float64]
-    # (Q, 10): confidence with which hypotheses vote for each of :data:`index.posture.POSTURES`.
-    votes: NDArray[np.float64]
+    votes: NDArray[np.float64]  # (Q, 10): see :func:`index.matching.votes_of`
+    # (Q, 10): share of each of :data:`index.posture.POSTURES`, as answered.
+    postures: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Trial:
         """The answers to some queries."""
@@ -122,12 +123,11 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
     confidence = np.zeros((len(queries), n))
     joint_errors_px = np.full((len(queries), n, JOINTS), np.inf)
     twin_error_px, error_m = (np.full((len(queries), n), np.inf) for _ in range(2))
-    votes = np.zeros((len(queries), len(POSTURES)))
+    votes, postures = (np.zeros((len(queries), len(POSTURES))) for _ in range(2))
     for row in tqdm(range(len(queries)), desc="matching", unit="query", disable=None):
         roll_deg = float(queries.roll_deg[row])
         found = match_silhouette(index, queries.silhouettes[row], n, roll_deg=roll_deg)
-        for voter in found.voters:
-            votes[row, POSTURES.index(voter.posture)] += voter.confidence
+        votes[row], postures[row] = votes_of(found.voters), found.postures
         for rank, hypothesis in enumerate(found.hypotheses[:n]):
             features[row, rank] = hypothesis.features
             twin = exchange_sides(hypothesis.points_normalised)
@@ -138,7 +138,7 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
             joint_errors_px[row, rank] = np.linalg.norm(apart_2d, axis=-1)
             twin_error_px[row, rank] = np.linalg.norm(apart_twin, axis=-1).mean()
             error_m[row, rank] = np.linalg.norm(apart_3d, axis=-1).mean()
-    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, votes)
+    return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, votes, postures)
 
 
 def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calibration:

@@ -6,7 +6,7 @@ import json
 import lzma
 import zipfile
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +20,7 @@ from descriptor.silhouette import HEIGHT, WIDTH, unpack
 from index.artefact import (
     FORMAT_VERSION,
     MANIFEST,
+    POSTURES_NPZ,
     RERANKING_FORMAT_VERSION,
     RERANKING_JSON,
     RERANKING_NPZ,
@@ -28,7 +29,8 @@ from index.artefact import (
     stored_name,
     version_of,
 )
-from index.network import RankingModel
+from index.reranking import RankingModel
+from index.silhouette_posture import PostureNetwork
 from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -165,33 +167,56 @@ def _files(index: PoseIndex) -> dict[str, bytes]:
 
 
 def save_reranker(reranker: RankingModel, folder: Path) -> None:
-    """Write the network beside an index without changing the index's own files."""
+    """Write the network beside an index without changing the index's own files.
+
+    Postures that were read from an earlier network are deleted.
+    """
+    (folder / POSTURES_NPZ).unlink(missing_ok=True)
     for name, content in _reranker_files(reranker).items():
         (folder / name).write_bytes(content)
 
 
 def _reranker_files(reranker: RankingModel) -> dict[str, bytes]:
     """Contents of the files, by name; the same network gives the same bytes."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in reranker.network.arrays().items():
-            # A separate ZipInfo leaves out the time of writing.
-            member = zipfile.ZipInfo(f"{name}.npy")
-            archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
-    weights = buffer.getvalue()
+    weights = _npz_bytes(reranker.network.arrays())
+    sha256 = hashlib.sha256(weights).hexdigest()
     manifest = {
         "format_version": RERANKING_FORMAT_VERSION,
-        "sha256": hashlib.sha256(weights).hexdigest(),
+        "sha256": sha256,
         "order_weight": reranker.order_weight,
         "support_weight": reranker.support_weight,
         "spread": list(reranker.spread),
         "confidence": reranker.calibration.parameters(),
         "training": reranker.training,
     }
-    return {
+    files = {
         RERANKING_NPZ: weights,
         RERANKING_JSON: (json.dumps(manifest, indent=1) + "\n").encode(),
     }
+    if reranker.postures is not None:
+        files[POSTURES_NPZ] = _posture_bytes(reranker.postures, sha256)
+    return files
+
+
+def save_postures(postures: PostureNetwork, folder: Path) -> None:
+    """Write what reads postures from the network that lies beside an index."""
+    network = json.loads((folder / RERANKING_JSON).read_bytes())
+    (folder / POSTURES_NPZ).write_bytes(_posture_bytes(postures, network["sha256"]))
+
+
+def _posture_bytes(postures: PostureNetwork, network_sha256: str) -> bytes:
+    return _npz_bytes(postures.arrays() | {"network_sha256": np.array(network_sha256)})
+
+
+def _npz_bytes(arrays: Mapping[str, NDArray[np.generic]]) -> bytes:
+    """Serialise arrays as the content of an ``.npz`` file; the same arrays give the same bytes."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        for name, array in arrays.items():
+            # A separate ZipInfo leaves out the time of writing.
+            member = zipfile.ZipInfo(f"{name}.npy")
+            archive.writestr(member, npy_bytes(array), zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
 def npy_bytes(array: NDArray[np.generic]) -> bytes:

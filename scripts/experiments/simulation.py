@@ -28,8 +28,9 @@ from index.build.simulate import Simulation
 from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
-from index.network import AXES, RankingModel
+from index.network import AXES
 from index.posture import LOW, POSTURES, classify_postures
+from index.reranking import RankingModel
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent
@@ -79,7 +80,7 @@ def measure(
     some = np.arange(0, asked.upright, DEGRADED_EVERY)
     degraded_queries = queries.take(some).degraded(QUERY_SEED)
     degraded = run_trial(index, degraded_queries)
-    postures, voted = true_postures(simulated), every.votes.argmax(axis=1)
+    postures, voted = true_postures(simulated), every.postures.argmax(axis=1)
     low = np.flatnonzero(posture_groups(postures)["low"])
     rankings = {
         "upright": rank(index, queries.take(some), every.take(some)),
@@ -176,7 +177,7 @@ def network_alone_is_right(reranker: RankingModel, queries: Queries) -> NDArray[
     """Return which queries ``(Q,)`` the network's likeliest joint positions answer within 5 px."""
     places = np.empty(queries.joints_2d.shape)
     for row, silhouette in enumerate(queries.silhouettes):
-        log_probabilities = reranker.network.distributions(silhouette).by_axis()
+        log_probabilities = reranker.network.read(silhouette).joints.by_axis()
         for column in range(2):
             places[row, :, column] = AXES[column].centres[log_probabilities[column].argmax(axis=1)]
     errors = np.linalg.norm(places - queries.joints_2d, axis=-1).mean(axis=-1)
@@ -201,7 +202,7 @@ def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
 
 def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
     """Return the figures of each group of postures."""
-    right = trial.votes.argmax(axis=1) == postures
+    right = trial.postures.argmax(axis=1) == postures
     return {
         name: {**summary(trial, rows), "posture_right": percent(right[rows])}
         for name, rows in posture_groups(postures).items()

@@ -9,7 +9,7 @@ from index.artefact import load_index, load_reranker
 from index.build.builder import IndexSpec, build, hold_out
 from index.build.motion import Segment, read_manifest
 from index.build.writer import save_index
-from index.network import RankingModel
+from index.reranking import RankingModel
 from index.store import PoseIndex
 
 

@@ -49,7 +49,6 @@ from index.network import (
     QUANT_MAX,
     JointNetwork,
     Layer,
-    RankingModel,
     bin_positions,
     input_planes,
     largest_sums,
@@ -58,6 +57,7 @@ from index.network import (
     quantise,
     quantised_relu,
 )
+from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex

@@ -23,7 +23,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks
 from app.vision.person_reader import PersonReader
 from index.landmark_matching import match_landmarks
 from index.matching import Match
-from index.posture import LOW
+from index.posture import LOW, vote_posture
 from tests.conftest import WALKERS, Photo, png
 from tests.support.jobs import LateJob, ShortJob
 from tests.support.rotation import rotate_box, rotate_points
@@ -215,8 +215,7 @@ def test_people_whose_feet_are_not_seen_do_not_walk(
 ) -> None:
     def match_walkers(*args: Any, **options: Any) -> Match:
         found = match_landmarks(*args, **options)
-        voters = [replace(one, posture="walking") for one in found.voters]
-        return replace(found, voters=voters)
+        return replace(found, postures=vote_posture(["walking"], [1.0]))
 
     monkeypatch.setattr(photograph, "match_landmarks", match_walkers)
     visibility = landmarks_of(walker).visibility.copy()

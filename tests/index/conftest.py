@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.writer import save_index
 from index.confidence import RERANKING_FEATURES, Calibration
-from index.network import RankingModel
+from index.reranking import RankingModel
 from index.skeleton import camera_rotation, rows, wrap_degrees
 from index.store import PoseIndex
 from tests.conftest import draw_view, index_of_figures, posed_figure

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from index.artefact import version_of
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
+from index.silhouette_posture import INPUTS, KINDS, UNITS, PostureNetwork
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
 
 
@@ -28,6 +29,19 @@ def random_network(seed: int) -> JointNetwork:
             Layer(weights, np.full(outputs, factor, np.float32), offsets.astype(np.float32))
         )
     return JointNetwork(tuple(layers))
+
+
+def random_postures(seed: int) -> PostureNetwork:
+    """A network of postures of random weights."""
+    generator = np.random.default_rng(seed)
+
+    def layer(inputs: int, outputs: int, reached: float) -> Layer:
+        weights = np.rint(generator.uniform(-40, 40, (inputs, outputs))).astype(np.float32)
+        factors = np.full(outputs, reached / (QUANT_MAX * 12 * np.sqrt(inputs)), np.float32)
+        return Layer(weights, factors, generator.normal(0, reached / 10, outputs).astype("f4"))
+
+    layers = layer(INPUTS, UNITS, QUANT_MAX), layer(UNITS, len(KINDS), 4.0)
+    return PostureNetwork(layers, 0.5)
 
 
 def landmarks_of(

@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import faiss
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from descriptor.descriptor import DiscriminantDescriptor
 from index.artefact import (
     FORMAT_VERSION,
+    POSTURES_NPZ,
     RERANKING_JSON,
     RERANKING_NPZ,
     ArtefactError,
@@ -29,11 +31,11 @@ from index.artefact import (
     load_index,
     read_array,
 )
-from index.build.writer import npy_bytes, save_index, save_reranker
-from index.network import RankingModel
+from index.build.writer import npy_bytes, save_index, save_postures, save_reranker
+from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import ENTRY_DTYPE, PoseIndex
-from tests.index.helpers import contents, seal
+from tests.index.helpers import contents, random_network, random_postures, seal
 
 
 class TestRoundTrip:
@@ -208,6 +210,29 @@ class TestFind:
 def with_network(saved: Path, reranker: RankingModel) -> Path:
     save_reranker(reranker, saved)
     return saved
+
+
+def test_postures_lie_beside_the_network_that_they_read(
+    saved: Path, reranker: RankingModel
+) -> None:
+    taught = replace(reranker, postures=random_postures(1))
+    save_reranker(taught, saved)
+    back = load_index(saved).reranker
+    assert back is not None and back.postures is not None and taught.postures is not None
+    for name, array in taught.postures.arrays().items():
+        assert_array_equal(back.postures.arrays()[name], array)
+    kept = (saved / POSTURES_NPZ).read_bytes()
+    save_postures(taught.postures, saved)
+    assert (saved / POSTURES_NPZ).read_bytes() == kept
+    # Another network makes other values of the same silhouette.
+    save_reranker(replace(reranker, network=random_network(7)), saved)
+    assert not (saved / POSTURES_NPZ).exists()
+    (saved / POSTURES_NPZ).write_bytes(kept)
+    with pytest.raises(ArtefactError, match="trained for another network"):
+        load_index(saved)
+    (saved / POSTURES_NPZ).write_bytes(kept[:-40])
+    with pytest.raises(ArtefactError, match="do not hold together"):
+        load_index(saved)
 
 
 def test_saved_network_is_loaded(with_network: Path, reranker: RankingModel) -> None:

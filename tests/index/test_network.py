@@ -41,7 +41,7 @@ def joints(columns: float, rows: float, depths: float, count: int = 1) -> NDArra
 
 
 def test_probabilities_of_each_axis_sum_to_one(network: JointNetwork, toy_index: PoseIndex) -> None:
-    seen = network.distributions(toy_index.silhouette(3)).log_probabilities
+    seen = network.read(toy_index.silhouette(3)).joints.log_probabilities
     assert seen.shape == (JOINTS, JOINT_BINS)
     ends = np.cumsum([axis.bins for axis in AXES])[:-1]
     for part in np.split(np.exp(seen.astype(np.float64)), ends, axis=1):
@@ -56,7 +56,7 @@ def test_equals_plain_sums_bit_for_bit(network: JointNetwork, toy_index: PoseInd
     silhouette = toy_index.silhouette(3)
     planes, mirrored = network_input(np.stack([silhouette, silhouette[:, ::-1]]))
     expected = summed(network, planes).mean(summed(network, mirrored).mirrored())
-    seen = network.distributions(silhouette)
+    seen = network.read(silhouette).joints
     assert_array_equal(seen.log_probabilities, expected.log_probabilities)
 
 
@@ -141,7 +141,7 @@ def test_likelihood_is_interpolated_between_bins() -> None:
 def test_expected_errors_equal_those_of_random_draws(
     network: JointNetwork, toy_index: PoseIndex
 ) -> None:
-    seen, generator = network.distributions(toy_index.silhouette(3)), np.random.default_rng(2)
+    seen, generator = network.read(toy_index.silhouette(3)).joints, np.random.default_rng(2)
     place = joints(14, 38, 15)
     columns, rows = (
         np.stack([generator.choice(axis.centres, 20_000, p=p / p.sum()) for p in np.exp(part)])

@@ -10,14 +10,15 @@ from app.estimation.posture import (
     GROUPS,
     MIN_PROBABILITY,
     PostureFilter,
+    as_standing,
     estimate_posture,
     likeliest_posture,
     shares_of,
-    vote_posture,
+    with_upright_votes,
 )
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
-from index.posture import ON_THE_GROUND, POSTURES, PostureName
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName, vote_posture
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))
 some_probabilities = st.lists(
@@ -65,7 +66,7 @@ def test_probability_is_that_of_the_group() -> None:
     assert (low.label, low.probability) == ("lying", pytest.approx(0.9))
     # Of a silhouette alone, too: who is surely upright is not unclear.
     alone = estimate_posture(votes, None)
-    assert (alone.label, alone.probability) == (upright.label, pytest.approx(0.95))
+    assert (alone.label, alone.probability) == (upright.label, pytest.approx(1))
 
 
 @given(weights=some_weights, confidence=st.floats(0, 1), presence=st.floats(0, 1))
@@ -77,6 +78,26 @@ def test_posture_is_limited_by_presence_and_by_the_best_hypothesis(
     assert found.probability <= presence + 1e-9
     assert confidence >= 0.2 or found.probability <= 0.8
     assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)
+
+
+@given(weights=some_weights, others=some_weights)
+def test_other_votes_divide_only_those_who_are_upright(
+    weights: list[float], others: list[float]
+) -> None:
+    shares, votes = vote_posture(POSTURES, weights), vote_posture(POSTURES, others)
+    divided = with_upright_votes(shares, votes)
+    assert share(divided, *UPRIGHT) == pytest.approx(share(shares, *UPRIGHT))
+    low = [name for name in POSTURES if name not in UPRIGHT]
+    assert [share(divided, name) for name in low] == [share(shares, name) for name in low]
+    if share(votes, "walking") > share(votes, "standing"):
+        assert share(divided, "walking") > share(divided, "standing")
+
+
+@given(weights=some_weights)
+def test_nobody_walks_whose_feet_are_not_seen(weights: list[float]) -> None:
+    shares = as_standing(vote_posture(POSTURES, weights))
+    assert shares.sum() == pytest.approx(1)
+    assert share(shares, "walking", "running") == 0
 
 
 NARROW, WIDE = Box(0, 0, 40, 160), Box(0, 0, 160, 40)

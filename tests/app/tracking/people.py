@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import likeliest_posture, vote_posture
+from app.estimation.posture import likeliest_posture
 from app.estimation.results import Facing, Person, ProjectedHypothesis
 from app.vision.geometry import Box
-from index.posture import PostureName
+from index.posture import PostureName, vote_posture
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
 from index.store import Label
 

@@ -4,12 +4,12 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.estimation.posture import frame_shares, vote_posture
+from app.estimation.posture import frame_shares
 from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
 from app.tracking.results import Event
 from app.vision.geometry import Box
-from index.posture import ON_THE_GROUND, PostureName
+from index.posture import ON_THE_GROUND, PostureName, vote_posture
 
 FPS = 10
 FRAME = (480, 640)

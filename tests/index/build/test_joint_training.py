@@ -49,7 +49,7 @@ def test_whole_numbers_give_about_what_was_trained(toy_index: PoseIndex) -> None
         logits = layers(torch.from_numpy(planes).permute(0, 3, 1, 2)).numpy()
     logits = logits.reshape(-1, JOINTS, JOINT_BINS)
     network = in_whole_numbers(layers, planes[:32])
-    got = np.stack([network.forward(one).log_probabilities for one in planes])
+    got = np.stack([network.forward(one)[0].log_probabilities for one in planes])
     off = got - log_softmax(logits)
     assert np.sqrt((off**2).mean()) < 0.05 * logits.std()
 
@@ -79,7 +79,7 @@ def test_training_finds_the_joints_likelier_and_gives_the_same_twice(toy_index: 
     likelihoods = [
         np.mean(
             [
-                network.distributions(toy_index.silhouette(row)).log_likelihood(
+                network.read(toy_index.silhouette(row)).joints.log_likelihood(
                     joint_positions(*toy_index.points(np.array([row])))
                 )
                 for row in range(0, len(toy_index), 20)

@@ -1,0 +1,101 @@
+"""The posture of a person, from the silhouette alone.
+
+Hypotheses are near the silhouette in the picture, but people who squat, kneel or sit look alike
+there, and few of the index do. A small network reads the posture from the hidden layer of the joint
+network, which has looked at the silhouette anyway; the votes of the hypotheses are added to its
+logits. Sums are exact, as in :mod:`index.network`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from index.network import HIDDEN, QUANT_MAX, Array, Layer, quantised_relu
+from index.posture import POSTURES, UPRIGHT, PostureName
+
+KINDS: tuple[tuple[PostureName, ...], ...] = (
+    UPRIGHT, ("bending",), ("crouching",), ("kneeling",), ("sitting",), ("crawling",), ("lying",),
+)  # fmt: skip
+"""What a silhouette distinguishes; votes alone divide those who are upright."""
+
+KIND_OF = np.array([[p in kind for kind in KINDS].index(True) for p in POSTURES])
+"""Position ``(10,)`` in :data:`KINDS` of each of ``POSTURES``."""
+
+INPUTS, UNITS = HIDDEN + 2, 128
+"""Inputs, see :func:`posture_inputs`, and width of the layer between."""
+
+MIN_VOTE = 0.01
+"""Added to the share of the votes that each of :data:`KINDS` has."""
+
+
+def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Array:
+    """Inputs ``(..., 514)``, whole numbers, from values of the hidden layer ``(..., 512)``.
+
+    Whether a silhouette was wide and therefore rotated upright, and how far, tells who lies from
+    who stands.
+    """
+    rolls_deg = np.abs(np.asarray(roll_deg, np.float32))
+    rolls_deg = np.minimum(rolls_deg, 180 - rolls_deg)
+    wide = np.stack([rolls_deg > 0, rolls_deg / 90], axis=-1)
+    return np.concatenate([hidden, np.rint(QUANT_MAX * wide)], axis=-1, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class PostureNetwork:
+    """The network and the weight of the logarithms of votes."""
+
+    layers: tuple[Layer, Layer]  # the layer between, and logits of :data:`KINDS`
+    vote_weight: float
+
+    def __post_init__(self) -> None:
+        shapes = [layer.weights.shape for layer in self.layers]
+        if shapes != [(INPUTS, UNITS), (UNITS, len(KINDS))]:
+            raise ValueError(f"expected a network of postures, got layers of shapes {shapes}")
+
+    def logits(self, hidden: Array, roll_deg: float) -> NDArray[np.float64]:
+        """Logits ``(7,)`` of :data:`KINDS`, without votes."""
+        between, output = self.layers
+        return output(quantised_relu(between(posture_inputs(hidden, roll_deg)))).astype(np.float64)
+
+    def shares(
+        self, hidden: Array, roll_deg: float, votes: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Probabilities ``(10,)`` of ``POSTURES``, given the shares of the votes ``(10,)``.
+
+        ``roll_deg`` is not 0 if the silhouette was rotated upright.
+        """
+        of_kinds = votes_of_kinds(votes)
+        logits = self.logits(hidden, roll_deg) + self.vote_weight * np.log(of_kinds + MIN_VOTE)
+        probabilities = np.exp(logits - logits.max())
+        probabilities /= probabilities.sum()
+        within = (votes + 1e-9) / (of_kinds + 1e-9 * np.bincount(KIND_OF))[KIND_OF]
+        return np.asarray(probabilities[KIND_OF] * within)
+
+    @classmethod
+    def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> PostureNetwork:
+        """Inverse of :meth:`arrays`; ``KeyError`` or ``ValueError`` if the arrays do not fit."""
+        first, second = (
+            Layer(*(np.ascontiguousarray(arrays[f"{name}{number}"], np.float32) for name in _PARTS))
+            for number in (1, 2)
+        )
+        return cls((first, second), float(arrays["vote_weight"]))
+
+    def arrays(self) -> dict[str, NDArray[np.generic]]:
+        """The layers as they are stored: weights in 8 bits, without loss."""
+        stored: dict[str, NDArray[np.generic]] = {"vote_weight": np.array(self.vote_weight)}
+        for number, layer in enumerate(self.layers, 1):
+            stored |= {f"{name}{number}": getattr(layer, name) for name in _PARTS}
+            stored[f"weights{number}"] = layer.weights.astype(np.int8)
+        return stored
+
+
+_PARTS = ("weights", "factors", "offsets")
+
+
+def votes_of_kinds(votes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sums ``(..., 7)`` of shares ``(..., 10)`` by :data:`KINDS`."""
+    return np.stack([votes[..., kind == KIND_OF].sum(-1) for kind in range(len(KINDS))], -1)

@@ -1,0 +1,102 @@
+"""Postures read from silhouettes: shares, and what votes may change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
+
+from index.network import HIDDEN, QUANT_MAX
+from index.posture import POSTURES, UPRIGHT, PostureName, vote_posture
+from index.reranking import RankingModel
+from index.silhouette_matching import match_silhouette
+from index.silhouette_posture import (
+    KIND_OF,
+    KINDS,
+    PostureNetwork,
+    posture_inputs,
+    votes_of_kinds,
+)
+from index.store import PoseIndex
+from tests.index.helpers import random_postures
+
+NETWORK = random_postures(0)
+seeds = st.integers(0, 2**32 - 1)
+some_votes = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES)).map(
+    lambda weights: vote_posture(POSTURES, weights)
+)
+
+
+def hidden(seed: int) -> NDArray[np.float32]:
+    values = np.random.default_rng(seed).integers(0, QUANT_MAX + 1, HIDDEN)
+    return values.astype(np.float32)
+
+
+def share(shares: NDArray[np.float64], *postures: PostureName) -> float:
+    return float(sum(shares[POSTURES.index(name)] for name in postures))
+
+
+def test_every_posture_is_of_one_kind() -> None:
+    assert sorted(name for kind in KINDS for name in kind) == sorted(POSTURES)
+    assert all(name in KINDS[kind] for name, kind in zip(POSTURES, KIND_OF, strict=True))
+
+
+@given(seed=seeds, votes=some_votes, roll_deg=st.floats(-180, 180))
+def test_votes_divide_who_is_upright_and_shares_sum_to_one(
+    seed: int, votes: NDArray[np.float64], roll_deg: float
+) -> None:
+    shares = NETWORK.shares(hidden(seed), roll_deg, votes)
+    assert shares.sum() == pytest.approx(1)
+    upright = share(shares, *UPRIGHT)
+    for name in UPRIGHT:
+        within = share(votes, name) / share(votes, *UPRIGHT)
+        assert share(shares, name) == pytest.approx(upright * within, abs=1e-6)
+
+
+@given(seed=seeds, votes=some_votes)
+def test_more_votes_make_a_posture_likelier(seed: int, votes: NDArray[np.float64]) -> None:
+    more = votes + np.array([name == "kneeling" for name in POSTURES])
+    before, after = (
+        NETWORK.shares(hidden(seed), 0.0, one) for one in (votes, np.asarray(more / more.sum()))
+    )
+    assert share(after, "kneeling") > share(before, "kneeling")
+    silent = replace(NETWORK, vote_weight=0.0)
+    kinds = [votes_of_kinds(silent.shares(hidden(seed), 0.0, one)) for one in (votes, more)]
+    assert_allclose(*kinds, atol=1e-6)
+
+
+@given(roll_deg=st.floats(1, 90))
+def test_either_end_and_either_side_may_be_up(roll_deg: float) -> None:
+    given = posture_inputs(hidden(1), roll_deg)
+    assert given.min() >= 0 and given.max() <= QUANT_MAX
+    for same in (-roll_deg, 180 - roll_deg, roll_deg - 180):
+        assert_allclose(posture_inputs(hidden(1), same), given, atol=1)
+    assert (posture_inputs(hidden(1), 0.0)[HIDDEN:] == 0).all()
+
+
+def test_stored_arrays_give_the_same_network() -> None:
+    back = PostureNetwork.restore(NETWORK.arrays())
+    votes = vote_posture(POSTURES, np.arange(1, 11).tolist())
+    assert_array_equal(back.shares(hidden(3), 90.0, votes), NETWORK.shares(hidden(3), 90.0, votes))
+    with pytest.raises(ValueError, match="expected a network of postures"):
+        PostureNetwork(NETWORK.layers[::-1], 0.5)
+
+
+def test_a_mirror_image_is_in_the_same_posture(
+    toy_index: PoseIndex, reranker: RankingModel
+) -> None:
+    index = replace(toy_index, reranker=replace(reranker, postures=NETWORK))
+    silhouette = toy_index.silhouette(5)
+    one, mirrored = (
+        match_silhouette(index, np.ascontiguousarray(seen), 3).postures
+        for seen in (silhouette, silhouette[:, ::-1])
+    )
+    # Searches and sums of candidates differ in the last digits, the network does not.
+    assert_allclose(one, mirrored, atol=0.01)
+    ours, theirs = (reranker.network.read(s).hidden for s in (silhouette, silhouette[:, ::-1]))
+    assert_array_equal(ours, theirs)
+    plain = match_silhouette(toy_index, silhouette, 3)
+    assert not np.allclose(plain.postures, one)
