@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.posture import GROUPS, likeliest_posture
 from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
 from index.build.calibrate import (
     Queries,
@@ -31,6 +32,7 @@ from index.matching import DEFAULT_HYPOTHESES
 from index.network import AXES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranking import RankingModel
+from index.silhouette_posture import KIND_OF, KINDS
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent
@@ -80,7 +82,8 @@ def measure(
     some = np.arange(0, asked.upright, DEGRADED_EVERY)
     degraded_queries = queries.take(some).degraded(QUERY_SEED)
     degraded = run_trial(index, degraded_queries)
-    postures, voted = true_postures(simulated), every.postures.argmax(axis=1)
+    postures = true_postures(simulated)
+    actions = simulated.skeleton_labels["action"][simulated.entries["skeleton"]]
     low = np.flatnonzero(posture_groups(postures)["low"])
     rankings = {
         "upright": rank(index, queries.take(some), every.take(some)),
@@ -97,7 +100,13 @@ def measure(
         "summary": {"upright": summary(upright), "degraded": summary(degraded)},
         "ranking": rankings if index.reranker else {},
         "postures": posture_figures(postures, every),
-        "posture_confusion": confusion(len(POSTURES), postures, voted).tolist(),
+        "posture_ways": {
+            "votes_alone": way_figures(postures, every, every.votes, actions),
+            "network_and_votes": way_figures(postures, every, every.postures, actions),
+        },
+        "posture_confusion": confusion(
+            len(KINDS) + 1, KIND_OF[postures], told_kinds(every, every.postures)[0]
+        ).tolist(),
         "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
         "limits": limits(upright),
         "limb_threshold_px": {
@@ -201,11 +210,56 @@ def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
 
 
 def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
-    """Return the figures of each group of postures."""
-    right = trial.postures.argmax(axis=1) == postures
+    """Return the figures of each group of postures; kinds alone count as right."""
+    right = told_kinds(trial, trial.postures)[0] == KIND_OF[postures]
     return {
         name: {**summary(trial, rows), "posture_right": percent(right[rows])}
         for name, rows in posture_groups(postures).items()
+    }
+
+
+def told_kinds(
+    trial: Trial, shares: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the kinds ``(Q,)`` that the service would say, and the probability of each.
+
+    Kinds are positions in :data:`index.silhouette_posture.KINDS`, or their number for ``unclear``.
+    """
+    said = [
+        likeliest_posture(one, confidence=confidence)
+        for one, confidence in zip(shares, trial.confidence.max(axis=1), strict=True)
+    ]
+    kinds = [
+        len(KINDS) if one.label == "unclear" else KIND_OF[POSTURES.index(one.label)] for one in said
+    ]
+    return np.array(kinds), np.array([one.probability for one in said])
+
+
+def way_figures(
+    postures: NDArray[np.int64],
+    trial: Trial,
+    shares: NDArray[np.float64],
+    actions: NDArray[np.integer],
+) -> Figures:
+    """Return how often the kinds of postures are right by shares ``(Q, 10)``; ``unclear`` is not.
+
+    The calibration error is that of the groups, whose probability the service states.
+    """
+    true = KIND_OF[postures]
+    kinds, probability = told_kinds(trial, shares)
+    right = kinds == true
+    groups = [[POSTURES.index(name) for name in group] for group in GROUPS]
+    sums = np.stack([shares[:, members].sum(axis=1) for members in groups], axis=1)
+    group_of = np.array([[p in members for members in groups].index(True) for p in postures])
+    return {
+        "right": percent(right),
+        "mean_over_kinds": float(np.mean([percent(right[true == k]) for k in np.unique(true)])),
+        "mean_over_actions": float(
+            np.mean([percent(right[actions == action]) for action in np.unique(actions)])
+        ),
+        "wrong": percent(~right & (kinds < len(KINDS))),
+        "unclear": percent(kinds == len(KINDS)),
+        "ece": expected_calibration_error(probability, sums.argmax(axis=1) == group_of),
     }
 
 
