@@ -14,15 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.depth import DenseNetwork
-from app.vision.judgement import FRAME_POSTURES, PostureModel, sharpened
+from app.vision.judgement import FRAME_POSTURES, PostureModel, load_photograph_models, sharpened
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense
 from scripts.training.photograph_data import SEEN_FROM
 from scripts.training.render_postures import VIEWS, PostureRows
 from scripts.training.train_photograph_models import FILE, store
 
-ENSEMBLE = 3
-"""Number of networks whose mean is the posture network."""
+ENSEMBLE, HIDDEN = 3, 192
+"""Number of networks whose mean is the posture network, and hidden values of each."""
+
+TRAINED_ON_RATE = 3e-4
+"""Highest learning rate of a network that is trained on."""
 
 BLANK = 0.4
 """Share of the views that are shown once more with average surroundings: bodies alone show their
@@ -33,22 +36,31 @@ NOBODY_FROM = 0.1
 
 
 def train_posture(
-    features: NDArray[np.floating], classes: NDArray[np.int64], epochs: int, seed: int
+    features: NDArray[np.floating],
+    classes: NDArray[np.int64],
+    epochs: int,
+    seed: int,
+    initial: DenseNetwork | None,
 ) -> DenseNetwork:
-    """The mean of a few networks with one hidden layer: their scores differ by chance."""
+    """The mean of a few networks with one hidden layer, whose scores differ by chance.
+
+    An initial network, which is such a mean, is trained on as one.
+    """
     import torch
 
     def loss(outputs: Any, targets: Any) -> Any:
         return torch.nn.functional.cross_entropy(outputs, targets[:, 0].long())
 
-    return averaged([
-        fit_dense(
+    def fit(hidden: int, rate: float, seed: int) -> DenseNetwork:
+        return fit_dense(
             features, classes[:, None].astype(np.float32), len(FRAME_POSTURES), loss,
-            epochs=epochs, seed=seed + number, batch=64,
-            hidden=(192,), dropout=0.4, noise=0.4, decay=0.1,
-        )
-        for number in range(ENSEMBLE)
-    ])  # fmt: skip
+            epochs=epochs, seed=seed, batch=64, rate=rate, hidden=(hidden,),
+            dropout=0.4, noise=0.4, decay=0.1, initial=initial,
+        )  # fmt: skip
+
+    if initial is not None:
+        return fit(len(initial.biases[0]), TRAINED_ON_RATE, seed)
+    return averaged([fit(HIDDEN, 1e-3, seed + number) for number in range(ENSEMBLE)])
 
 
 def fit_sharpness(
@@ -78,7 +90,13 @@ def posture_report(given: NDArray[np.float64], classes: NDArray[np.int64]) -> st
     return "\n".join([f"posture right {right.mean():.3f}, ECE {error:.3f}", *lines])
 
 
-def train_models(train: PostureRows, held: PostureRows, epochs: int, seed: int) -> dict[str, Any]:
+def train_models(
+    train: PostureRows,
+    held: PostureRows,
+    epochs: int,
+    seed: int,
+    initial: DenseNetwork | None = None,
+) -> dict[str, Any]:
     """Arrays of the model; figures on the second half of the held-out photographs are printed."""
     teaches = (train.posture >= 0) & (train.presence > SEEN_FROM)
     body, surroundings = (
@@ -88,7 +106,7 @@ def train_models(train: PostureRows, held: PostureRows, epochs: int, seed: int) 
     average = np.broadcast_to(surroundings.mean(axis=0), surroundings[blank].shape)
     evidence = np.vstack([np.hstack([body, surroundings]), np.hstack([body[blank], average])])
     classes = np.concatenate([train.posture[teaches], train.posture[teaches][blank]])
-    network = train_posture(evidence, classes, epochs, seed + 20)
+    network = train_posture(evidence, classes, epochs, seed + 20, initial)
     posture = PostureModel(network, np.zeros(2))
     scores = posture.scores(held.body.astype(np.float32), held.surroundings.astype(np.float32))
     calibrates = held.photograph % 2 == 0
@@ -108,13 +126,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
-    add("--train", type=Path, required=True, help="folder of render-postures")
+    add("--train", type=Path, nargs="+", required=True, help="folders of render-postures")
     add("--held-out", type=Path, required=True, help="another, held out")
     add("--out", type=Path, default=FILE)
+    add("--start", type=Path, help="file of models whose network is trained on")
     add("--epochs", type=int, default=14)
     add("--seed", type=int, default=0)
     add("--share", type=float, default=1.0, help="of the photographs, for a learning curve")
     options = parser.parse_args(arguments)
-    train, held = PostureRows.read([options.train]), PostureRows.read([options.held_out])
+    train, held = PostureRows.read(options.train), PostureRows.read([options.held_out])
     train = train.take(train.photograph % 1000 < 1000 * options.share)
-    store(train_models(train, held, options.epochs, options.seed), options.out)
+    initial = None
+    if options.start is not None:
+        initial = load_photograph_models(options.start).posture.network
+    store(train_models(train, held, options.epochs, options.seed, initial), options.out)
