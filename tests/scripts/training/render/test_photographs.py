@@ -1,18 +1,31 @@
 """Whole photographs of real motion and bodies: labels that hold, and the same ones by seed."""
 
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.random import Generator
 from numpy.testing import assert_allclose, assert_array_equal
+from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.people import LANDMARK_NAMES
-from index.skeleton import JOINT_NAMES
+from index.build.body import pose_transforms, posed_points, retarget
+from index.skeleton import JOINT_NAMES, JOINTS
 from scripts.training.render.materials import Materials
 from scripts.training.render.people import MIRRORED, split_of
-from scripts.training.render.posing import HELD_OUT_SUBJECTS, classes_of
+from scripts.training.render.posing import (
+    HELD_OUT_SUBJECTS,
+    Pose,
+    classes_of,
+    lean_on_arm,
+    lunge,
+    plank,
+    squat_wide,
+    stand_on_one_leg,
+)
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 from scripts.training.render.surroundings import PosedBody
 from tests.conftest import ROOT
@@ -101,6 +114,47 @@ def test_riders_sit_with_their_hands_before_them(studio: Studio) -> None:
             assert FRAME_POSTURES[body.posture] == "sitting"
             reach.append(body.landmarks[hands, 2].mean() - body.landmarks[shoulders, 2].mean())
     assert np.median(reach) > 0.1
+
+
+def test_poses_that_no_clip_shows_rest_on_what_their_name_says(studio: Studio) -> None:
+    generator, source = np.random.default_rng(8), studio.source
+    standing = FRAME_POSTURES.index("standing")
+    avatar = studio.people[0].avatar
+
+    def heights(make: Callable[[Pose, Generator], None], names: list[str]) -> NDArray[np.float64]:
+        """Of joints over the lowest one, in twenty poses: the lowest, the highest of these."""
+        found = []
+        for _ in range(20):
+            pose = source.recorded(standing, generator)
+            make(pose, generator)
+            turned = pose_transforms(avatar, retarget(pose.clip, avatar), pose.rotations[None])
+            up = posed_points(avatar, turned)[0, :JOINTS, 1]
+            rows = [JOINT_NAMES.index(name) for name in names]
+            found.append((up[rows] - up.min()).tolist())
+        return np.sort(found, axis=1)
+
+    feet, trunk = ["left_ankle", "right_ankle"], ["pelvis", "chest"]
+    one, other = np.median(heights(stand_on_one_leg, feet), axis=0)
+    assert one < 0.15 and other > 0.2
+    assert np.median(heights(lunge, feet)[:, 1]) < 0.25
+    assert np.median(heights(lunge, ["pelvis"])) > 0.45
+    assert np.median(heights(squat_wide, ["pelvis"])) < 0.75
+    assert np.median(heights(plank, feet)[:, 1]) < 0.35
+    low, high = heights(plank, trunk).T
+    assert low.min() > 0.05 and np.median(low) > 0.15 and high.max() < 0.9
+    assert np.median(heights(lean_on_arm, ["pelvis"])) < 0.3
+
+
+def test_who_fell_lies_on_the_ground(studio: Studio) -> None:
+    pytest.importorskip("mujoco")
+    studio = replace(studio, source=replace(studio.source, fallen=1.0))
+    generator = np.random.default_rng(9)
+    made = [studio.body("lying", Materials(), generator) for _ in range(12)]
+    bodies = [body for body in made if body is not None]
+    assert len(bodies) >= 4
+    for body in bodies:
+        pelvis = body.joints[JOINT_NAMES.index("pelvis"), 1] - body.joints[:, 1].min()
+        assert pelvis < 0.5
 
 
 def test_held_out_clips_and_garments_are_apart() -> None:
