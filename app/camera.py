@@ -170,11 +170,15 @@ class CameraSession:
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
         shown = _Shown(decoded.sent, rectification.camera_sent(decoded.camera), warnings)
-        self._empty = None
-        if not (self._tracks or decoded.warnings or rectification.changes):
-            self._empty = _EmptyScene(decoded.sent.shape, upload.optics)
+        self._empty = self._as_empty(decoded, upload.optics)
         persons = tuple(_as_sent(person, rectification) for person in tracked)
         return self._answered(shown, timestamp, arrived, persons, job)
+
+    def _as_empty(self, decoded: DecodedUpload, optics: Optics) -> _EmptyScene | None:
+        """The scene of a frame as sent, if it shows nobody."""
+        if self._tracks or decoded.warnings or decoded.rectification.changes:
+            return None
+        return _EmptyScene(decoded.sent.shape, optics)
 
     def _still_empty(
         self, upload: Upload, timestamp: float, evidence: Evidence, job: Job

@@ -225,33 +225,28 @@ class PeopleFinder:
             For each target, the position of the person whom it shows; None if it shows nobody, or a
             track's window shows whom that of a nearer track shows.
         """
-        frame, marked = upload.frame, source in _MARKED
+        marked = source in _MARKED
         shows: list[int | None] = [*range(len(targets))]
         if cut is not None and not landmarks:
-            bodies = [_Body(target) for target in targets]
+            bodies = [*map(_Body, targets)]
         elif marked:
-            bodies = [*map(_Body, targets, self.read(frame, targets, job))]
+            bodies = [*map(_Body, targets, self.read(upload.frame, targets, job))]
         else:
-            bodies, shows = self._bodies(frame, targets, perhaps_beside, job)
+            bodies, shows = self._bodies(upload.frame, targets, perhaps_beside, job)
         with job.stage("keypoints"):
             look = partial(self._look, masked=cut is None, camera=upload.camera)
             bodies = job.map(look, bodies)
-        by_masks = partial(
-            silhouettes_of,
-            [body.reading for body in bodies if body.reading],
-            frame_shape=frame.shape,
-            exact=marked,
-            checkpoint=job.checkpoint,
-        )
         with job.stage("segment"):
-            silhouettes = (cut or by_masks)([body.box for body in bodies])
+            cut = cut or _by_masks(bodies, upload.frame.shape, job, exact=marked)
+            silhouettes = cut([body.box for body in bodies])
         # A detection without a silhouette is unlikely to be a person.
         kept = [row for row, one in enumerate(silhouettes) if marked or one is not None]
         people = []
         for row in kept:
             person = _person(bodies[row], silhouettes[row], source, tight=tight)
             people.append(self._with_reading(person, bodies[row], upload, landmarks=landmarks))
-        return people, [kept.index(row) if row in kept else None for row in shows]
+        position: dict[int | None, int] = dict(zip(kept, range(len(kept)), strict=True))
+        return people, [*map(position.get, shows)]
 
     def _bodies(
         self,
@@ -333,6 +328,16 @@ class PeopleFinder:
             trust=judged.trust,
             hips=None if silhouette is None else judged.body.origin,
         )
+
+
+def _by_masks(
+    bodies: Sequence[_Body], frame_shape: tuple[int, ...], job: Job, *, exact: bool
+) -> Cut:
+    """Cuts bodies out by the masks of their readings."""
+    readings = [body.reading for body in bodies if body.reading]
+    return partial(
+        silhouettes_of, readings, frame_shape=frame_shape, exact=exact, checkpoint=job.checkpoint
+    )
 
 
 def _person(body: _Body, silhouette: Silhouette | None, source: Source, *, tight: bool) -> Person:
