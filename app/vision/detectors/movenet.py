@@ -1,8 +1,9 @@
 """MoveNet as a detector of people of any size."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-from app.vision.detectors.tiles import Picture
+from app.vision.detectors.tiles import Picture, Tile
 from app.vision.movenet import MoveNet
 from app.vision.people import Detection
 
@@ -12,6 +13,14 @@ MIN_MOVENET_SCORE = 0.02
 # Longer side of a box, in the overview, from which people are taken from the overview; smaller ones
 # are taken from the tiles, which separate two people side by side.
 _LARGE_PERSON_PX = 96.0
+
+# Longer side of a frame in which people who fill it are looked for, a tenth of the overview's area:
+# there the network knows them, of whom the overview shows it only a trace.
+_GLANCE_PX = 192.0
+# Share of the frame's longer side from which a person fills it.
+_FILLING_SHARE = 0.5
+# Score from which somebody is seen well enough that nobody is looked for at that size.
+_SURE_SCORE = 0.3
 
 
 @dataclass(frozen=True)
@@ -27,14 +36,38 @@ class MoveNetDetector:
         """
         found: list[tuple[float, Detection]] = []
         for number, tile in enumerate(picture.tiles):
-            for person in self.network.detect(picture.seen_in(tile)):
-                box = tile.to_frame(person.box, picture.frame.shape)
-                if box is None or person.score < MIN_MOVENET_SCORE:
-                    continue
-                score = min(1.0, person.score)
-                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
-                overview_px = max(box.width, box.height) * picture.tiles[0].factor
-                is_large = overview_px >= _LARGE_PERSON_PX
+            for one in self._seen_in(picture, tile):
+                is_large = _longer_side(one, picture) >= _LARGE_PERSON_PX
                 suits = len(picture.tiles) == 1 or is_large == (number == 0)
-                found.append((score + suits, Detection(box, score, keypoints)))
+                found.append((one.score + suits, one))
+        if all(one.score < _SURE_SCORE for _, one in found):
+            nearer = self._seen_in(picture, _glance(picture))
+            found += [(one.score + 1, one) for one in _filling(nearer, picture)]
         return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
+
+    def _seen_in(self, picture: Picture, tile: Tile) -> list[Detection]:
+        """People whom the network finds in a tile, in pixels of the frame."""
+        seen = []
+        for person in self.network.detect(picture.seen_in(tile)):
+            box = tile.to_frame(person.box, picture.frame.shape)
+            if box is not None and person.score >= MIN_MOVENET_SCORE:
+                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
+                seen.append(Detection(box, min(1.0, person.score), keypoints))
+        return seen
+
+
+def _longer_side(one: Detection, picture: Picture) -> float:
+    """The longer side of a box as the overview shows it."""
+    return max(one.box.width, one.box.height) * picture.tiles[0].factor
+
+
+def _filling(people: Iterable[Detection], picture: Picture) -> list[Detection]:
+    """Those who fill the frame."""
+    large = _FILLING_SHARE * max(picture.tiles[0].size)
+    return [one for one in people if _longer_side(one, picture) >= large]
+
+
+def _glance(picture: Picture) -> Tile:
+    """The whole frame at a small size."""
+    whole = picture.tiles[0]
+    return Tile(whole.rect, whole.factor * min(1.0, _GLANCE_PX / max(whole.size)))

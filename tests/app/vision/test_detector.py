@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -267,3 +268,20 @@ def test_others_in_the_boxes_of_people_are_perhaps_beside_them() -> None:
     doubtful = replace(other, box=Box(90, 30, 60, 160), score=score_of(0.25))
     found, beside = told(people[0], doubtful).detect(BLANK)
     assert [one.box for one in found] == [LEFT] and [one.box for one in beside] == [doubtful.box]
+
+
+@pytest.mark.parametrize("share", [0.4, 0.6, 1.0])
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_person_who_fills_the_frame_is_found(
+    detector: NetworkDetector,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+    share: float,
+    number: int,
+) -> None:
+    """From the head down to the hips or the feet, enlarged to the size of a camera's frame."""
+    left, top, right, bottom = walkers[number].pixels()
+    part = street[top : top + round(share * (bottom - top)), left:right]
+    close = cv2.resize(part, None, fx=480 / len(part), fy=480 / len(part))
+    found, _ = detector.detect(np.asarray(close, np.uint8))
+    assert max(one.box.height for one in found) > 240
