@@ -283,15 +283,15 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet = MoveNet(network_path("movenet"), **share)
+    movenet, small_movenet = (MoveNet(network_path("movenet"), **share) for _ in range(2))
     landmarks = LandmarkNetwork(
         network_path("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
     )
     masks = MaskNetwork(network_path("pose_mask"), **share)
-    reader = PersonReader(landmarks, masks, KeypointReader(movenet))
+    reader = PersonReader(landmarks, masks, KeypointReader(small_movenet))
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     objects = ObjectNetwork(network_path("objects"), **share)
-    detectors = MoveNetDetector(movenet), pose_detection
+    detectors = MoveNetDetector(movenet, small_movenet), pose_detection
     detector = NetworkDetector(detectors, landmarks, objects, min_person_px=min_person_px)
     frame = np.full((240, 320, 3), 127, np.uint8)
     box = Box(120.0, 40.0, 60.0, 160.0)

@@ -25,9 +25,14 @@ _SURE_SCORE = 0.3
 
 @dataclass(frozen=True)
 class MoveNetDetector:
-    """Detects people with keypoints, in the overview and the tiles of a picture; thread-safe."""
+    """Detects people with keypoints, in the overview and the tiles of a picture; thread-safe.
+
+    ``small`` is another copy of the network for small pictures, since one that is given pictures of
+    other sizes in turn takes a tenth more time.
+    """
 
     network: MoveNet
+    small: MoveNet
 
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect people: first those in the tile that suits their size, by their scores.
@@ -36,24 +41,25 @@ class MoveNetDetector:
         """
         found: list[tuple[float, Detection]] = []
         for number, tile in enumerate(picture.tiles):
-            for one in self._seen_in(picture, tile):
+            for one in _seen_in(self.network, picture, tile):
                 is_large = _longer_side(one, picture) >= _LARGE_PERSON_PX
                 suits = len(picture.tiles) == 1 or is_large == (number == 0)
                 found.append((one.score + suits, one))
         if all(one.score < _SURE_SCORE for _, one in found):
-            nearer = self._seen_in(picture, _glance(picture))
+            nearer = _seen_in(self.small, picture, _glance(picture))
             found += [(one.score + 1, one) for one in _filling(nearer, picture)]
         return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
 
-    def _seen_in(self, picture: Picture, tile: Tile) -> list[Detection]:
-        """People whom the network finds in a tile, in pixels of the frame."""
-        seen = []
-        for person in self.network.detect(picture.seen_in(tile)):
-            box = tile.to_frame(person.box, picture.frame.shape)
-            if box is not None and person.score >= MIN_MOVENET_SCORE:
-                keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
-                seen.append(Detection(box, min(1.0, person.score), keypoints))
-        return seen
+
+def _seen_in(network: MoveNet, picture: Picture, tile: Tile) -> list[Detection]:
+    """People whom the network finds in a tile, in pixels of the frame."""
+    seen = []
+    for person in network.detect(picture.seen_in(tile)):
+        box = tile.to_frame(person.box, picture.frame.shape)
+        if box is not None and person.score >= MIN_MOVENET_SCORE:
+            keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
+            seen.append(Detection(box, min(1.0, person.score), keypoints))
+    return seen
 
 
 def _longer_side(one: Detection, picture: Picture) -> float:

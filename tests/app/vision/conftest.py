@@ -93,7 +93,7 @@ def make_network_detector(
     landmark_network: LandmarkNetwork,
     objects: ObjectNetwork,
 ) -> Callable[..., NetworkDetector]:
-    detectors = MoveNetDetector(movenet), body_detector
+    detectors = MoveNetDetector(movenet, movenet), body_detector
     return lambda **limits: NetworkDetector(detectors, landmark_network, objects, **limits)
 
 

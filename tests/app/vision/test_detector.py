@@ -119,7 +119,9 @@ def test_second_detector_only_adds(
     street: NDArray[np.uint8],
 ) -> None:
     with_both = scores_of(detector, street)
-    alone = NetworkDetector([MoveNetDetector(movenet), SeesNobody()], landmark_network, objects)
+    alone = NetworkDetector(
+        [MoveNetDetector(movenet, movenet), SeesNobody()], landmark_network, objects
+    )
     found, _ = alone.detect(street)
     assert found
     for one in found:
