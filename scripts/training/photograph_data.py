@@ -29,19 +29,6 @@ MIN_SHOWN = 6
 """Landmarks shown, of 33, below which nobody can say whether a window shows a person."""
 
 
-def landmarks_right(
-    found: NDArray[np.float64], places: NDArray[np.floating], shown: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Whether enough of the limb joints that are shown ``(N, 33)`` were found ``(N, 33, 2)``."""
-    apart = np.linalg.norm(found - places, axis=2)[:, LIMBS]
-    shoulders, hips = (places[:, rows].mean(axis=1) for rows in ([11, 12], [23, 24]))
-    trunk = np.linalg.norm(shoulders - hips, axis=1)
-    size = np.maximum(trunk, 0.2 * np.ptp(places, axis=1).max(axis=1))
-    limbs = shown[:, LIMBS]
-    right = (apart < RIGHT_WITHIN * size[:, None]) & limbs
-    return np.asarray(right.sum(axis=1) >= RIGHT_SHARE * np.maximum(limbs.sum(axis=1), 1))
-
-
 @dataclass(frozen=True)
 class Rows:
     """Arrays with one row for each of the same things."""
@@ -151,7 +138,14 @@ class TrainingRows(WindowRows):
     @property
     def right(self) -> NDArray[np.bool_]:
         """Whether each window shows a person of whom enough shown limb joints are right."""
-        return self.person & landmarks_right(self.found_places, self.places, self.shown)
+        apart = np.linalg.norm(self.found_places - self.places, axis=2)[:, LIMBS]
+        shoulders, hips = (self.places[:, rows].mean(axis=1) for rows in ([11, 12], [23, 24]))
+        trunk = np.linalg.norm(shoulders - hips, axis=1)
+        size = np.maximum(trunk, 0.2 * np.ptp(self.places, axis=1).max(axis=1))
+        shown = self.shown[:, LIMBS]
+        right = (apart < RIGHT_WITHIN * size[:, None]) & shown
+        share = right.sum(axis=1) / np.maximum(shown.sum(axis=1), 1)
+        return np.asarray(self.person & (share >= RIGHT_SHARE))
 
     @property
     def depths(self) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
 from app.vision.person_reader import PersonReader
-from scripts.training.photograph_data import Rows, landmarks_right
+from scripts.training.photograph_data import Rows
 from scripts.training.render.scene import EMPTY, Photograph
 from scripts.training.render.views import hide, spoil
 from scripts.training.render_people import open_studio, rendering_parser, write_rows
@@ -49,8 +49,6 @@ class PostureRows(Rows):
     presence: NDArray[np.float64]  # (N,)
     # (N,): positions in :data:`app.vision.judgement.FRAME_POSTURES`, or -1 where nobody is.
     posture: NDArray[np.int64]
-    shown: NDArray[np.int64]  # (N,): landmarks that are shown
-    found: NDArray[np.bool_]  # (N,): whether the landmarks are right
 
 
 def views_of(photograph: Photograph, generator: Generator) -> Iterator[Photograph]:
@@ -97,15 +95,8 @@ class Reader:
             reading = self.people.read(shown.image, box)
             camera = camera_of(shown, generator)
             _, trust, seen = self.models.evidence(reading, camera)
-            found = (
-                shown.posture != EMPTY
-                and landmarks_right(
-                    reading.landmarks.positions[None], shown.places[None], shown.shown[None]
-                ).item()
-            )
             one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)
-            truth = (shown.posture, int(shown.shown.sum()), found)
-            rows.append([np.array([value]) for value in (*one, *truth)])
+            rows.append([np.array([value]) for value in (*one, shown.posture)])
         columns = [np.concatenate(column) for column in zip(*rows, strict=True)]
         return PostureRows(
             *columns[:2], *(part.astype(np.float16) for part in columns[2:4]), *columns[4:]

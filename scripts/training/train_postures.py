@@ -24,7 +24,7 @@ from scripts.training.train_photograph_models import FILE, store
 ENSEMBLE, HIDDEN = 3, 192
 """Number of networks whose mean is the posture network, and hidden values of each."""
 
-TRAINED_ON_RATE = 3e-4
+TRAINED_ON_RATE = 1e-4
 """Highest learning rate of a network that is trained on."""
 
 BLANK = 0.4
@@ -127,14 +127,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     add = parser.add_argument
     add("--train", type=Path, nargs="+", required=True, help="folders of render-postures")
-    add("--held-out", type=Path, required=True, help="another, held out")
+    add("--held-out", type=Path, nargs="+", required=True, help="others, held out")
     add("--out", type=Path, default=FILE)
     add("--start", type=Path, help="file of models whose network is trained on")
     add("--epochs", type=int, default=14)
     add("--seed", type=int, default=0)
     add("--share", type=float, default=1.0, help="of the photographs, for a learning curve")
     options = parser.parse_args(arguments)
-    train, held = PostureRows.read(options.train), PostureRows.read([options.held_out])
+    train, held = PostureRows.read(options.train), PostureRows.read(options.held_out)
     train = train.take(train.photograph % 1000 < 1000 * options.share)
     initial = None
     if options.start is not None:

@@ -52,3 +52,18 @@ def test_training_fits_and_repeats_itself() -> None:
     )  # fmt: skip
     assert_array_equal(one(features), other(features))
     assert ((one(features) - truth) ** 2).mean() < 0.1 * truth.var()
+
+
+@pytest.mark.slow
+def test_training_goes_on_from_a_network() -> None:
+    torch = pytest.importorskip("torch")
+    first = network(4, 6)
+
+    def loss(outputs: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        return ((outputs - targets) ** 2).mean()
+
+    on = fit_dense(
+        FEATURES, first(FEATURES), 2, loss, hidden=(6,), epochs=2, seed=1, batch=5, dropout=0.0,
+        noise=0.0, decay=0.0, initial=first,
+    )  # fmt: skip
+    assert_allclose(on(FEATURES), first(FEATURES), atol=0.02)
