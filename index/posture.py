@@ -58,7 +58,7 @@ _MIN_KNEELING_HEIGHT = 0.2
 _MIN_UNSUPPORTED = 0.15
 # A person whose thighs are level on average, with neither one steep and the pelvis at the height of
 # a seat, sits even if the feet could carry the body: the trunk is upright or both shanks are steep.
-# Who squats leans the shanks forward to keep the balance.
+# People who squat lean the shanks forward to keep the balance.
 _MAX_LEVEL_THIGH_DEG, _MAX_STEEP_THIGH_DEG, _MIN_SEAT_HEIGHT = 25.0, 50.0, 0.5
 _MAX_SEATED_TRUNK_DEG, _MIN_SEATED_SHANK_DEG = 20.0, 55.0
 # Least tilt of a trunk that is bent over standing legs, and over lowered legs.

@@ -35,8 +35,8 @@ MIN_VOTE = 0.01
 def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Array:
     """Inputs ``(..., 514)``, whole numbers, from values of the hidden layer ``(..., 512)``.
 
-    Whether a silhouette was wide and therefore rotated upright, and how far, tells who lies from
-    who stands.
+    Whether a silhouette was wide and therefore rotated upright, and how far, distinguishes people
+    who lie from people who stand.
     """
     rolls_deg = np.abs(np.asarray(roll_deg, np.float32))
     rolls_deg = np.minimum(rolls_deg, 180 - rolls_deg)

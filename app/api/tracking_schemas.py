@@ -219,7 +219,7 @@ class TrackedPerson(Person):
     still_s: FiniteFloat | None = Field(
         ge=600,
         description="Seconds for which the person has looked the same, from ten minutes on: a "
-        "statue, a screen, a poster, or somebody asleep. Otherwise null.",
+        "statue, a screen, a poster or a sleeping person. Otherwise null.",
         examples=[None],
     )
 

@@ -188,7 +188,7 @@ class Track:
     def _compare(
         self, person: Person, frame: NDArray[np.uint8], covered: float, timestamp: float
     ) -> None:
-        """Keep the picture since which the person looks the same, whoever passes before them."""
+        """Keep the picture since which the person looks the same; people in front do not count."""
         if person.patch is None or covered > 0:
             return
         if self._still is None or not self._still.is_shown_by(frame):

@@ -25,8 +25,8 @@ _LEARNED_S = 600.0
 _KNOWN_AFTER_S = 10.0
 # Most time that a single frame counts for: too short to begin an event.
 _MAX_STEP_S = 3.0
-# Time constant of the evidence: a view has to be blocked for 3.5 s, longer than somebody who passes
-# close to the camera takes.
+# Time constant of the evidence: a view has to be blocked for 3.5 s, longer than a person takes to
+# pass close to the camera.
 _SETTLING_S = 5.0
 
 # The values below were chosen on four photographs and drawings that were dimmed to an eighth,

@@ -15,11 +15,11 @@ MIN_MOVENET_SCORE = 0.02
 _LARGE_PERSON_PX = 96.0
 
 # Longer side of a frame in which people who fill it are looked for, a tenth of the overview's area:
-# there the network knows them, of whom the overview shows it only a trace.
+# the network recognises them at this size, and hardly in the overview.
 _GLANCE_PX = 192.0
 # Share of the frame's longer side from which a person fills it.
 _FILLING_SHARE = 0.5
-# Score from which somebody is seen well enough that nobody is looked for at that size.
+# Score of a person from which the frame is not searched at that size.
 _SURE_SCORE = 0.3
 
 

@@ -10,7 +10,7 @@ ASPECTS = (4 / 3, 4 / 3, 16 / 9, 16 / 9, 16 / 9, 3 / 4, 9 / 16, 1.0)
 """Width over height."""
 
 OVERHEAD = 0.08
-"""Share of cameras that hang above their target."""
+"""Share of the cameras of photographs that hang above their target."""
 
 FOV_DEG = (40.0, 110.0)
 """Horizontal, of frames that are wider than high."""
@@ -46,18 +46,19 @@ def sample_camera(
     *,
     close: bool,
     azimuth: float | None = None,
+    overhead: float = OVERHEAD,
 ) -> Camera:
     """A camera that sees a target ``(3,)`` somewhere in its frame.
 
     At eye level, below a ceiling, near the floor, high above a street, or overhead; off axis as
     often as not; one in eight holds the target at its border. ``close`` cameras stand within arm's
     reach to two metres, as on a desk or a shelf. The azimuth about the target is a given one, or
-    any.
+    any; a share of the cameras is ``overhead``.
     """
     chance = generator.random()
     if close:
         height, distance = generator.uniform(0.4, 2.0), np.exp(generator.uniform(-0.5, 0.7))
-    elif generator.random() < OVERHEAD:
+    elif generator.random() < overhead:
         height, distance = generator.uniform(2.2, 4.5), generator.uniform(0.0, 1.3)
     elif chance < 0.42:
         height, distance = generator.uniform(0.8, 1.9), np.exp(generator.uniform(0.25, 2.1))

@@ -17,7 +17,7 @@ from index.build.body import about_vertical, pose_transforms, posed_points, reta
 from index.build.render import skin
 from scripts.training.motions import Motion, Motions, drawn
 from scripts.training.render import furniture
-from scripts.training.render.cameras import Camera, aimed_at, sample_camera
+from scripts.training.render.cameras import Camera, sample_camera
 from scripts.training.render.development import develop
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import Mesh, joined
@@ -232,7 +232,7 @@ def _companion(
     materials: Materials,
     generator: Generator,
 ) -> Actor:
-    """Another person, who walks or stands nearby."""
+    """Another person who walks or stands nearby."""
     walk = motions.recorded(generator, walks=bool(generator.random() < 0.7))
     other = Actor.of(people[int(generator.integers(len(people)))], walk, materials, generator)
     turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]
@@ -258,16 +258,7 @@ def _lamps(generator: Generator) -> NDArray[np.float32]:
 
 def _camera(target: NDArray[np.float64], generator: Generator) -> Camera:
     while True:
-        camera = sample_camera(target, 0.0, generator, close=False)
-        if generator.random() < OVERHEAD:
-            place = target + np.array(
-                [*generator.normal(0, 0.5, 1), 0, *generator.normal(0, 0.5, 1)]
-            )
-            place[1] = generator.uniform(2.6, 4.5)
-            turn = aimed_at(
-                target - place, generator.uniform(-0.3, 0.3, 2), float(generator.uniform(0, 6.28))
-            )
-            camera = Camera(place, turn, float(generator.uniform(0.6, 1.2)), camera.half)
+        camera = sample_camera(target, 0.0, generator, close=False, overhead=OVERHEAD)
         if np.linalg.norm(camera.place - target) > 1.8:
             return camera
 
