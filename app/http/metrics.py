@@ -21,8 +21,8 @@ from app.settings import Settings
 from app.tracking.results import Event
 
 # A frame with a mask takes milliseconds; a search for people takes a tenth of a second.
-_MILLISECONDS = (0.25, 0.5, 1, 2.5, 5, 7.5, 10, 15, 25, 50, 75, 100, 150, 250, 350, 500, 750)
-_SECONDS = (*(milliseconds / 1000 for milliseconds in _MILLISECONDS), 1, 1.5, 2, 3, 5, 7.5, 10)
+_STEPS = (1, 1.5, 2.5, 5, 7.5)  # of every power of ten
+_SECONDS = tuple(float(f"{step}e{power}") for power in range(-4, 2) for step in _STEPS)
 _TENTHS = tuple(tenth / 10 for tenth in range(1, 11))
 _VIDEO_SECONDS = (1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1200, 1800, 3600)
 _PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
@@ -38,8 +38,8 @@ def buckets_until(deadline_s: float) -> tuple[float, ...]:
 
     Examples
     --------
-    >>> buckets_until(0.002)
-    (0.00025, 0.0005, 0.001, 0.002)
+    >>> buckets_until(0.0004)
+    (0.0001, 0.00015, 0.00025, 0.0004)
     """
     return (*(bound for bound in _SECONDS if bound < deadline_s), deadline_s)
 

@@ -23,6 +23,8 @@ _LEARNED_S = 600.0
 # Time until it is known: films are often cut into shots of a few seconds, and what a camera in a
 # hand sees seldom lasts so long.
 _KNOWN_AFTER_S = 10.0
+# Time between two frames that are looked at: a look costs milliseconds, and a blocked view lasts.
+_LOOK_EVERY_S = 1.0
 # Most time that a single frame counts for: too short to begin an event.
 _MAX_STEP_S = 3.0
 # Time constant of the evidence: a view has to be blocked for 3.5 s, longer than a person takes to
@@ -76,6 +78,8 @@ class View:
         begins a new view.
         """
         elapsed = 0.0 if self._last_at is None else timestamp - self._last_at
+        if 0 < elapsed < _LOOK_EVERY_S:
+            return []
         step = min(max(0.0, elapsed), _MAX_STEP_S)
         self._last_at = timestamp
         if self._usual is None or self._usual.shape != grey.shape:

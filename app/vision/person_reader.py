@@ -172,11 +172,19 @@ class PersonReader:
 # Least quality of a reading beside others, and that of a first reading below which no other window
 # shows anybody; chosen on rendered groups.
 _MIN_QUALITY_BESIDE, _HOPELESS_QUALITY = 0.5, 0.2
-# Limbs by their ends, COCO keypoints.
-_LIMB_ENDS = (
-    (0, 5), (0, 6), (5, 6), (5, 7), (7, 9), (6, 8), (8, 10), (5, 11), (6, 12), (11, 12), (11, 13),
-    (13, 15), (12, 14), (14, 16),
+_LIMBS = (
+    ("nose", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"),
+    ("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"),
 )  # fmt: skip
+# Limbs of both sides, and what joins these, by their ends.
+_LIMB_ENDS = [
+    *map(coco_rows, ("shoulder", "hip")),
+    *(
+        ends
+        for limb in _LIMBS
+        for ends in np.stack(np.broadcast_arrays(*map(coco_rows, limb)), axis=-1).tolist()
+    ),
+]
 # A body reaches so far about its limbs, in sizes of the body.
 _FLESH = 0.2
 # Longer side of the picture in which distances to limbs are measured.
