@@ -47,7 +47,8 @@ from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
 from scripts.metrics import percent
 from scripts.results import SHARED
-from scripts.training.render.posing import Pose, PoseSource, classes_of
+from scripts.training.render.pose import Pose
+from scripts.training.render.posing import PoseSource, classes_of
 from scripts.training.train_reranker import part
 
 PRIOR = np.array([0.5, 0.07, 0.07, 0.05, 0.12, 0.05, 0.14])

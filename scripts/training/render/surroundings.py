@@ -13,7 +13,7 @@ from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import Mesh
-from scripts.training.render.posing import Support
+from scripts.training.render.pose import Support
 
 TABLES, WALKING_FRAMES = 0.42, 0.07
 """Shares: of people on chairs who sit at a table; of people with a walking frame at hand."""

@@ -14,18 +14,11 @@ from app.vision.judgement import FRAME_POSTURES
 from app.vision.people import LANDMARK_NAMES
 from index.build.body import pose_transforms, posed_points, retarget
 from index.skeleton import JOINT_NAMES, JOINTS
+from scripts.training.render.makers import lean_on_arm, lunge, plank, squat_wide, stand_on_one_leg
 from scripts.training.render.materials import Materials
 from scripts.training.render.people import MIRRORED, split_of
-from scripts.training.render.posing import (
-    HELD_OUT_SUBJECTS,
-    Pose,
-    classes_of,
-    lean_on_arm,
-    lunge,
-    plank,
-    squat_wide,
-    stand_on_one_leg,
-)
+from scripts.training.render.pose import Pose
+from scripts.training.render.posing import HELD_OUT_SUBJECTS, classes_of
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 from scripts.training.render.surroundings import PosedBody
 from tests.conftest import ROOT
