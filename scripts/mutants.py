@@ -24,6 +24,9 @@ from mutmut.utils.format_utils import get_mutant_name
 
 # Exit codes of the tests: they passed, or none reaches the mutant.
 _PASSED, _NOT_REACHED = 0, 33
+# Of the sample, survivors that are allowed.
+_MOST_PERCENT = 15.0
+_PROCESSES = 2
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -32,15 +35,13 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("modules", nargs="*", help="patterns of files; all that are configured")
     parser.add_argument("--count", type=int, default=400)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--most", type=float, default=15.0, help="survivors allowed, per cent")
     options = parser.parse_args(arguments)
     os.environ["SHARED"] = "/nonexistent"  # The suite must notice without it.
     chosen = sample(options.modules or ["*"], options.count, options.seed)
     # Results and copied files of another run would be taken for those of this one.
     shutil.rmtree("mutants", ignore_errors=True)
     mutmut = [sys.executable, "-m", "mutmut"]
-    subprocess.run([*mutmut, "run", "--max-children", str(options.processes), *chosen], check=True)
+    subprocess.run([*mutmut, "run", "--max-children", str(_PROCESSES), *chosen], check=True)
     codes = exit_codes()
     unnoticed: dict[str, list[str]] = defaultdict(list)
     for name in chosen:
@@ -59,7 +60,7 @@ def main(arguments: Sequence[str]) -> int:
         f"{share:.1f} % of {len(chosen)} mutants (seed {options.seed}) are not noticed; "
         f"the tests took {used.ru_utime + used.ru_stime:.0f} core-seconds"
     )
-    return int(share > options.most)
+    return int(share > _MOST_PERCENT)
 
 
 def sample(patterns: Iterable[str], count: int, seed: int) -> list[str]:

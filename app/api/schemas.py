@@ -542,11 +542,9 @@ class ServiceVersion(Model):
     )
 
 
-class IndexResponse(Model):
+class IndexResponse(IndexVersion):
     """The content of the index and how it was built."""
 
-    name: str = Field(description="Name of the index.", examples=["cmu-dressed"])
-    version: str = Field(description="Hash of its content.", examples=["sha256:9c1f0e7a55d2"])
     entries: int = Field(description="Simulated silhouettes.", examples=[40000])
     descriptor: DescriptorSummary
     joints: list[str] = Field(

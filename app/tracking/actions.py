@@ -23,6 +23,7 @@ from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
+from app.vision.odds import softmax
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
@@ -141,8 +142,7 @@ class ActionModel:
         everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
         odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
-        odds = np.exp(odds - odds.max(axis=-1, keepdims=True))
-        return np.asarray(odds / odds.sum(axis=-1, keepdims=True))
+        return softmax(odds)
 
     def votes(self, hypotheses: Sequence[ProjectedHypothesis]) -> NDArray[np.float64]:
         """Share of each action ``(A,)`` in the confidence of one frame's hypotheses."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from app.tracking.body import SeenBody
 from app.vision.geometry import Box
+from app.vision.odds import softmax
 from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, PostureName
 from index.skeleton import wrap_degrees
 
@@ -260,9 +261,8 @@ class MotionFilter:
         independence = min(1.0, REFERENCE_HZ * (timestamp - self._last_at))
         self._last_at = timestamp
         likelihoods = independence * body.log_likelihoods
-        shares = np.exp(likelihoods - likelihoods.max())
         heading = self._headings.update(
-            timestamp, body.azimuths_deg, shares / shares.sum(), body.clarity, velocity
+            timestamp, body.azimuths_deg, softmax(likelihoods), body.clarity, velocity
         )
         walks = self._headings.walking_weight(velocity) > 0
         return Motion(velocity, heading, self._ground.elevation_deg, body.px_per_m, walks)

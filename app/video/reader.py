@@ -18,7 +18,6 @@ import numpy as np
 from app.video import Frame
 
 _FRAME_TIMEOUT_S = 20.0
-_LAST_LINE_TIMEOUT_S = 1.0
 _BUFFER_BYTES = 2**20
 _MAX_LINE_BYTES = 300
 _FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg, DV, GIF or MJPEG"

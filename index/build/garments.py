@@ -165,8 +165,12 @@ def fit(garment: Garment, base: BaseMesh) -> tuple[NDArray[np.float64], NDArray[
     return held + garment.offsets * scale, weights / weights.sum(axis=1, keepdims=True)
 
 
-def dress(avatar: Avatar, base: BaseMesh, garments: Sequence[Garment]) -> Avatar:
-    """Put the avatar in its garments, without the skin they hide."""
+Layers = tuple[list[NDArray[np.float64]], list[NDArray[np.float32]], list[NDArray[np.int32]]]
+"""Vertices, dense skin weights and triangles: of the skin, then of each garment."""
+
+
+def layers_of(base: BaseMesh, garments: Sequence[Garment]) -> Layers:
+    """Garments on a body, and the skin that they leave uncovered; all vertices of both."""
     hidden = np.zeros(len(base.vertices), bool)
     for garment in garments:
         hidden[garment.hidden] = True
@@ -179,13 +183,19 @@ def dress(avatar: Avatar, base: BaseMesh, garments: Sequence[Garment]) -> Avatar
         weights.append(moved_by)
         triangles.append(garment.triangles + count)
         count += len(fitted)
+    return vertices, weights, triangles
+
+
+def dress(avatar: Avatar, base: BaseMesh, garments: Sequence[Garment]) -> Avatar:
+    """Put the avatar in its garments, without the skin they hide."""
+    vertices, weights, triangles = layers_of(base, garments)
     influences, kept = strongest(np.concatenate(weights))
     return compact(
         replace(
             avatar,
             vertices=np.concatenate(vertices).astype(np.float32),
             triangles=np.concatenate(triangles).astype(np.int32),
-            closed=len(skin),
+            closed=len(triangles[0]),
             influences=influences,
             weights=kept,
         )

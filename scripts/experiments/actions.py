@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import PostureFilter
 from app.tracking.actions import MIN_VOTE, ActionModel
+from app.vision.odds import softmax
 from index import DEFAULT_PATH
+from index.build.calibrate import expected_calibration_error
 from index.posture import POSTURES
-from scripts.metrics import confusion, reliability
+from scripts.metrics import confusion, percent
 from scripts.training.action_model import (
     ACTIONS,
     COPIES,
@@ -86,8 +88,8 @@ class Answers:
         return {
             "number": len(right),
             "vote_percent": self.vote_right,
-            "percent": 100 * float(right.mean()),
-            "mean_over_actions_percent": 100 * float(np.mean(by_action)),
+            "percent": percent(right),
+            "mean_over_actions_percent": percent(by_action),
             "calibration_error": self.calibration_error,
             "confusion": confusion(len(ACTIONS), self.truth, self.answer).tolist(),
         }
@@ -103,8 +105,7 @@ def sequence_answers(
     votes = np.ones((len(windows.actions), len(ACTIONS)))
     votes[simulated : simulated + len(shown)] = [hypothesis_votes(track) for track in shown]
     odds = unseen.odds / temperature + VOTE_WEIGHT * np.log(np.maximum(votes, MIN_VOTE))[motion]
-    odds = np.exp(odds - odds.max(axis=1, keepdims=True))
-    probabilities = odds / odds.sum(axis=1, keepdims=True)
+    probabilities = softmax(odds)
     plain = {simulated + number: plain_vote(track) for number, track in enumerate(shown)}
     sources = {
         "skeletons_with_noise": range(simulated),
@@ -113,7 +114,7 @@ def sequence_answers(
     answers = {}
     for name, numbers in sources.items():
         rows = np.isin(motion, list(numbers))
-        asked = np.unique(motion[rows])
+        asked, given, truth = np.unique(motion[rows]), probabilities[rows], unseen.truth[rows]
         means = np.array([probabilities[motion == number].mean(axis=0) for number in asked])
         right = [
             plain[number] == windows.actions[number] for number in asked.tolist() if number in plain
@@ -121,8 +122,8 @@ def sequence_answers(
         answers[name] = Answers(
             np.array([ACTIONS.index(windows.actions[number]) for number in asked]),
             means.argmax(axis=1),
-            100 * float(np.mean(right)) if right else None,
-            calibration_error(probabilities[rows], unseen.truth[rows]),
+            percent(right) if right else None,
+            expected_calibration_error(given.max(axis=1), given.argmax(axis=1) == truth),
         )
     return answers
 
@@ -139,14 +140,6 @@ def plain_vote(track: Track) -> str:
         person.hypotheses[0].label.action for person in track.people if person.hypotheses
     )
     return votes.most_common(1)[0][0]
-
-
-def calibration_error(probabilities: NDArray[np.float64], truth: NDArray[np.int64]) -> float:
-    """Return the expected calibration error of the most probable answers, ten bins."""
-    right = probabilities.argmax(axis=1) == truth
-    bins = reliability(probabilities.max(axis=1), right, 10)
-    errors = [abs(one["stated"] - one["right"]) * one["hypotheses"] for one in bins]
-    return float(sum(errors)) / len(truth)
 
 
 def posture_figures(tracks: Sequence[Track]) -> dict[str, dict[str, float]]:
@@ -169,8 +162,8 @@ def posture_figures(tracks: Sequence[Track]) -> dict[str, dict[str, float]]:
     return {
         name: {
             "frames": int(rows.sum()),
-            "frame_percent": 100 * float(right[rows, 0].mean()),
-            "smoothed_percent": 100 * float(right[rows, 1].mean()),
+            "frame_percent": percent(right[rows, 0]),
+            "smoothed_percent": percent(right[rows, 1]),
         }
         for name, rows in groups.items()
     }

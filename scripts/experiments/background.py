@@ -26,6 +26,7 @@ from scripts.datasets import (
     read_vtest,
     tight_box,
 )
+from scripts.experiments.real_poses import mask_iou
 from scripts.metrics import detection_figures, percent
 
 Figures = dict[str, Any]
@@ -93,7 +94,7 @@ def pasted(scene: NDArray[np.uint8], photographs: list[Photograph]) -> Figures:
             shown = np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR), np.uint8)
             (one,) = cut_out_changed(foreground(shown, scene), [tight_box(person)])
             mask = np.zeros_like(person) if one is None else one.mask(person.shape)
-            overlaps.append(float((mask & person).sum() / (mask | person).sum()))
+            overlaps.append(mask_iou(mask, person))
     mean, median = float(np.mean(overlaps)), float(np.median(overlaps))
     return {"people": len(overlaps), "iou": round(mean, 3), "median": round(median, 3)}
 

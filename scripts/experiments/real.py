@@ -61,7 +61,6 @@ Figures = dict[str, float]
 def add_arguments(parser: argparse._ArgumentGroup) -> None:
     """Add this experiment's options to the command line."""
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH, help="index artefact to ask")
-    parser.add_argument("--step", type=int, default=4, help="every so many-th frame of pose2sim")
 
 
 def run(options: argparse.Namespace) -> dict[str, object]:
@@ -74,7 +73,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     people = read_street_people(folder / "pennfudan", photographs)
     shown = in_photographs(people, estimator)
     street = {way: trials_of(shown, estimator, way) for way in WAYS}
-    videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator, options.step)
+    videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator)
     own = cross_validated(street[BOTH])
     frames = read_vtest(folder / "vtest")
     return {
@@ -114,13 +113,13 @@ def by_half(street: Mapping[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
 
 
 def measure_pose2sim(
-    folder: Path, estimator: Estimator, step: int
+    folder: Path, estimator: Estimator
 ) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
     """Return trials in the true boxes of both cameras, and figures of each kind of evidence."""
     together: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in POSE2SIM_CAMERAS:
-        frames = read_pose2sim(folder, camera, step)
+        frames = read_pose2sim(folder, camera, 4)
         shown = in_video(frames, estimator)
         trials = {way: trials_of(shown, estimator, way) for way in WAYS}
         together += trials[BOTH]

@@ -22,6 +22,7 @@ from descriptor.silhouette import normalise
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import LIMB_ROWS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
+from scripts.metrics import percent
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
 WAYS = (SILHOUETTE, LANDMARKS, BOTH)
@@ -174,17 +175,13 @@ def pose_figures(trials: Sequence[Trial]) -> dict[str, float]:
         return {"people": 0}
     return {
         "people": len(trials),
-        "pck": 100 * _mean([t.near[0] for t in trials]),
-        "facing": 100 * _mean([t.facing_right[0] for t in trials]),
-        "facing_any": 100 * _mean([t.facing_right.any() for t in trials]),
-        "within_90": 100 * _mean([t.turned_deg[0] < 90 for t in trials]),
-        "first_mm": 1000 * _mean([t.distance_m[0] for t in trials]),
-        "best_mm": 1000 * _mean([t.distance_m.min() for t in trials]),
+        "pck": percent([t.near[0] for t in trials]),
+        "facing": percent([t.facing_right[0] for t in trials]),
+        "facing_any": percent([t.facing_right.any() for t in trials]),
+        "within_90": percent([t.turned_deg[0] < 90 for t in trials]),
+        "first_mm": 1000 * float(np.mean([t.distance_m[0] for t in trials])),
+        "best_mm": 1000 * float(np.mean([t.distance_m.min() for t in trials])),
     }
-
-
-def _mean(values: Sequence[float | np.floating | np.bool_]) -> float:
-    return float(np.mean(np.asarray(values, np.float64)))
 
 
 def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:

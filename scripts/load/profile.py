@@ -50,13 +50,11 @@ class ProfiledJob(Job):
         self.core_ms[name] += (time.process_time() - started) * 1000
 
 
-def profiled(
-    process: Process, parallel_map: ParallelMap, frames: int
-) -> dict[str, tuple[float, float]]:
-    """Return means over frames: milliseconds and core-milliseconds of each stage and in all."""
+def profiled(process: Process, parallel_map: ParallelMap) -> dict[str, tuple[float, float]]:
+    """Return means over a film: milliseconds and core-milliseconds of each stage and in all."""
     process(Job(parallel_map=parallel_map), 0)  # Warms up.
     rows = []
-    for number in range(1, frames + 1):
+    for number in range(1, FILM + 1):
         job, started = ProfiledJob(parallel_map), time.process_time()
         process(job, number)
         core_ms = {**job.core_ms, TOTAL: (time.process_time() - started) * 1000}
@@ -114,7 +112,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--shared", type=Path, default=SHARED)
-    parser.add_argument("--frames", type=int, default=FILM, help="of each kind")
     parser.add_argument("--write", action="store_true", help="into docs/results/profile")
     options = parser.parse_args(arguments)
     cores = available_cores()
@@ -125,9 +122,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         def parallel_map(function: Callable[[Any], Any], items: Any, /) -> list[Any]:
             return list(pool.map(function, items))
 
-        found = {
-            title: profiled(process, parallel_map, options.frames)
-            for title, process in kinds.items()
-        }
-    figures = {"frames": options.frames, "cores": cores, "stages": table(found, cores)}
+        found = {title: profiled(process, parallel_map) for title, process in kinds.items()}
+    figures = {"frames": FILM, "cores": cores, "stages": table(found, cores)}
     report("profile", arguments, figures, keep=options.write)

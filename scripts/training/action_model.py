@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.actions import WINDOW_S, ActionModel, PoseSample, window_features
+from app.vision.odds import softmax
 from index.build.body import Avatar, pose_transforms, posed_points, retarget
 from index.build.motion import Segment
 from index.build.poses import read_poses
@@ -294,9 +295,7 @@ class Unseen:
 
     def probabilities(self, temperature: float) -> NDArray[np.float64]:
         """Return probabilities ``(U, A)``."""
-        odds = self.odds / temperature
-        odds = np.exp(odds - odds.max(axis=1, keepdims=True))
-        return np.asarray(odds / odds.sum(axis=1, keepdims=True))
+        return softmax(self.odds / temperature)
 
 
 def leave_subjects_out(windows: Windows) -> Unseen:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import nn
 
+from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.build.body import Avatar, Retargeting, pose_transforms, retarget
@@ -328,10 +329,9 @@ def train_postures(index: PoseIndex, shared: Path) -> PostureNetwork:
     true = learned.kinds[asked]
     fitted = fit_votes(logits, votes, true)
     scores = fitted[0] * logits + fitted[1] * np.log(votes + MIN_VOTE) + fitted[2:]
-    scores = np.exp(scores - scores.max(axis=1, keepdims=True))
     print(f"{len(examples.kinds)} silhouettes; weights of logits and votes {fitted[:2].round(2)}")
     print(report("votes alone", votes, true))
-    print(report("network and votes", scores / scores.sum(axis=1, keepdims=True), true))
+    print(report("network and votes", softmax(scores), true))
     return with_votes(train(examples), fitted)
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from app.vision.people import LANDMARK_NAMES
 from index.build.body import Avatar, BaseMesh, Phenotype, keypoint_weights, make_avatar, strongest
-from index.build.garments import find_garments, fit, read_garment
+from index.build.garments import find_garments, layers_of, read_garment
 from index.skeleton import COCO17
 from scripts.training.render.materials import (
     HAIRS,
@@ -83,22 +83,12 @@ def dressed(phenotype: Phenotype, outfit: Outfit, garments: Path) -> Person:
     avatar, base = make_avatar(phenotype)
     files = find_garments(garments)
     worn = [read_garment(files[name]) for name in outfit.garments]
-    hidden = np.zeros(len(base.vertices), bool)
-    for garment in worn:
-        hidden[garment.hidden] = True
+    vertices, weights, triangles = layers_of(base, worn)
     bare_headed = not any(_is_hair(name) for name in outfit.garments)
-    vertices, weights = [base.vertices], [base.dense_weights]
     parts = [_skin_parts(avatar, base, outfit, bare_headed)]
-    triangles = [base.triangles[~hidden[base.triangles].all(axis=1)]]
-    count = len(base.vertices)
     hips = float(avatar.heads[avatar.bones.index("Hips")][1])
-    for garment in worn:
-        fitted, moved_by = fit(garment, base)
+    for garment, fitted in zip(worn, vertices[1:], strict=True):
         parts.append(_garment_parts(garment.name, fitted, garment.triangles, hips))
-        vertices.append(fitted)
-        weights.append(moved_by)
-        triangles.append(garment.triangles + count)
-        count += len(fitted)
     used, corners = np.unique(np.concatenate(triangles), return_inverse=True)
     all_weights = np.concatenate(weights)[used]
     influences, kept = strongest(all_weights)
