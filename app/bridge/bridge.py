@@ -5,14 +5,13 @@ import json
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 from app.bridge.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox
-from app.bridge.presence import Presence
 from app.bridge.service import Camera
 from app.bridge.source import Frame, Source
 
@@ -20,6 +19,50 @@ STATUS_EVERY_S = 10.0
 _NO_KEY = (401, 403)
 _NO_CAMERA = (404, 405, 422)
 """Statuses that end it before a frame was answered: the set-up is wrong. Later, it may recover."""
+
+
+class Presence:
+    """The people before a camera and in its zones, by events: steadier than single frames."""
+
+    def __init__(self) -> None:
+        self._people: set[int] = set()
+        self._zones: dict[str, set[int]] = {}
+
+    @property
+    def track_ids(self) -> list[int]:
+        """Identities of the people."""
+        return sorted(self._people)
+
+    @property
+    def people(self) -> int:
+        """Number of people."""
+        return len(self._people)
+
+    def is_occupied(self, zone: str) -> bool:
+        """Whether a person is in a zone."""
+        return bool(self._zones.get(zone))
+
+    def begin(self, persons: Iterable[Mapping[str, Any]]) -> None:
+        """Begin with the people of a frame whose history is not known."""
+        self._people, self._zones = set(), {}
+        for person in persons:
+            self._people.add(person["track_id"])
+            for zone in person["zones"]:
+                self._zones.setdefault(zone, set()).add(person["track_id"])
+
+    def update(self, event: Mapping[str, Any]) -> None:
+        """Update the people by an event."""
+        person = event["track_id"]
+        if event["event"] == "entered":
+            self._people.add(person)
+        elif event["event"] == "left":
+            self._people.discard(person)
+            for inside in self._zones.values():
+                inside.discard(person)
+        elif event["event"] == "zone_entered":
+            self._zones.setdefault(event["zones"][0], set()).add(person)
+        elif event["event"] == "zone_left":
+            self._zones.get(event["zones"][0], set()).discard(person)
 
 
 class Bridge:
