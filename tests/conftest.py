@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import httpx
@@ -29,6 +30,7 @@ from index.confidence import FEATURES, Calibration
 from index.search import ExactNeighbours
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
+from tests.golden.pictures import png
 from tests.support.ports import free_ports
 
 # No deadlines: the machine may be busy.
@@ -218,11 +220,6 @@ class Photo:
         return {"frame": self.frame_png, "mask": self.mask_png}
 
 
-def png(picture: NDArray[np.generic]) -> bytes:
-    """Encode as PNG."""
-    return cv2.imencode(".png", picture)[1].tobytes()
-
-
 def photograph(index: PoseIndex, number: int, left: int = 150, top: int = 40) -> Photo:
     """An entry's silhouette in dark grey before a noisy light wall."""
     rng = np.random.default_rng(number)
@@ -314,11 +311,9 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Resp
 
 
 @contextmanager
-def running_server(
-    index: Path | None, timeout_s: float = 120, log: Path | None = None, **environment: str
-) -> Iterator[Server]:
+def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -> Iterator[Server]:
     """Start a server as :func:`start_server` does, wait until it is ready, and end it."""
-    running = start_server(index, log=log, **environment)
+    running = start_server(index, **options)
     try:
         wait_until(f"{running.url}/readyz", timeout_s=timeout_s)
         yield running

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from index import DEFAULT_PATH
-from tests.conftest import ROOT, SHARED, WALKERS, Server, start_server, wait_until
+from tests.conftest import ROOT, SHARED, WALKERS, Server, running_server
 
 README = ROOT / "README.md"
 API = ROOT / "docs" / "api.md"
@@ -48,12 +48,8 @@ COMMANDS = list(
 @pytest.fixture(scope="module")
 def service() -> Iterator[Server]:
     """A server over the index that ships, whose entries the pages may name."""
-    running = start_server(DEFAULT_PATH)
-    try:
-        wait_until(f"{running.url}/readyz", timeout_s=60)
+    with running_server(DEFAULT_PATH) as running:
         yield running
-    finally:
-        running.stop()
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
@@ -14,7 +13,8 @@ from pydantic import SecretStr
 from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
 from tests.app.vision.encoded import encode
-from tests.conftest import ROOT, Photo, Serving
+from tests.conftest import Photo, Serving
+from tests.golden.pictures import EMPTY_YARD, decode
 from tests.support.service import check_problem, eventually, sample, send
 
 
@@ -157,7 +157,7 @@ class TestKeys:
 class TestObstructed:
     """A camera that is covered, as a caller sees it."""
 
-    YARD = (ROOT / "tests/data/yard-empty.jpg").read_bytes()
+    YARD = EMPTY_YARD
     COVER = encode(np.full((330, 400, 3), 90, np.uint8), ".jpg")
 
     def watch(
@@ -193,7 +193,6 @@ class TestObstructed:
 
     def test_a_pause_does_not_hide_that_the_camera_was_turned(self, client: TestClient) -> None:
         self.watch(client, *[self.YARD] * 6)
-        yard = cv2.imdecode(np.frombuffer(self.YARD, np.uint8), cv2.IMREAD_COLOR)
-        turned = encode(np.ascontiguousarray(yard[::-1]), ".jpg")
+        turned = encode(np.ascontiguousarray(decode(self.YARD)[::-1]), ".jpg")
         warned, _ = self.watch(client, *[turned] * 4, since=3600)
         assert warned[-1]

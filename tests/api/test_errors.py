@@ -134,6 +134,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
         *(("PUT /cameras/yard", request, field, said) for request, field, said in (
             (zones(name=""), "zones[0].name", "some text"),
             (zones(name="x" * 65), "zones[0].name", "64"),
+            (zones(name="bed\n"), "zones[0].name", "expected a name of printable characters"),
             (polygon(), "zones[0].polygon", "expected at least 3 values"),
             (polygon([100, 100]), "zones[0].polygon", "got a line"),
             (zones(polygon=[[0.1, 0.1], [0.9, 0.1], [0.5, 0.9]]), "zones[0].polygon", "a pixel"),

@@ -3,7 +3,6 @@
 import json
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
@@ -12,6 +11,7 @@ from app.api.overlay import LEGEND, PEOPLE
 from app.api.schemas import PoseResponse
 from index.skeleton import NATIVE
 from tests.conftest import WALKERS, Photo, png
+from tests.golden.pictures import decode
 
 
 def ask(client: TestClient, photo: Photo, **params: Any) -> dict[str, Any]:
@@ -28,10 +28,6 @@ def post(client: TestClient, files: dict[str, bytes], **params: Any) -> dict[str
 
 def points(joints: list[dict[str, float]]) -> np.ndarray:
     return np.array([list(joint.values()) for joint in joints])
-
-
-def decoded(picture: bytes) -> np.ndarray:
-    return cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_UNCHANGED)
 
 
 def test_a_photographed_entry_is_its_own_nearest(client: TestClient, photo: Photo) -> None:
@@ -80,7 +76,7 @@ def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: P
 
 
 def test_the_picture_of_a_mask_alone_is_black_around_it(client: TestClient, photo: Photo) -> None:
-    picture = decoded(client.post("/pose/overlay", files={"mask": photo.mask_png}).content)
+    picture = decode(client.post("/pose/overlay", files={"mask": photo.mask_png}).content)
     drawn = picture.any(axis=2)[: len(photo.mask)]  # Without the legend.
     assert drawn[photo.mask == 1].mean() > 0.2
     assert not drawn[:, :100].any()
@@ -104,11 +100,8 @@ def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
 def test_silhouettes_to_look_at_have_the_labels_places(client: TestClient) -> None:
     boxes = {"boxes": BOXES}
     labels, view = (
-        cv2.imdecode(np.frombuffer(one.content, np.uint8), cv2.IMREAD_UNCHANGED)
-        for one in (
-            client.post(f"/silhouette{query}", files={"frame": STREET}, data=boxes)
-            for query in ("", "?view=1")
-        )
+        decode(client.post(f"/silhouette{query}", files={"frame": STREET}, data=boxes).content)
+        for query in ("", "?view=1")
     )
     for label in range(labels.max() + 1):
         assert (view[labels == label] == ((0, 0, 0), *PEOPLE)[label]).all()
@@ -177,7 +170,7 @@ def overlay(client: TestClient, frame: np.ndarray, mask: np.ndarray) -> np.ndarr
     files = {"frame": png(frame), "mask": png(mask)}
     response = client.post("/pose/overlay", files=files, params={"evidence": "silhouette"})
     assert response.headers["content-type"] == "image/png"
-    return decoded(response.content)
+    return decode(response.content)
 
 
 def test_the_overlay_explains_its_colours_below_the_frame(client: TestClient, photo: Photo) -> None:

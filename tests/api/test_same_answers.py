@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
-import cv2
 import httpx
 import numpy as np
 import pytest
@@ -21,9 +20,10 @@ from app.settings import Settings
 from app.vision.geometry import Box
 from app.vision.tflite import TfliteNetwork
 from index import DEFAULT_PATH
-from index.skeleton import NATIVE
+from index.skeleton import NATIVE, other_side
 from index.store import PoseIndex
 from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.golden.pictures import decode
 from tests.support.rotation import rotate_points
 from tests.support.service import Client
 
@@ -35,10 +35,7 @@ SENT = {"mask": {"mask": MASKS}, "both": BOTH, "frame": {"frame": STREET}}
 WALKER_PX = 70
 """The three walkers of the street are taller, the two distant people smaller."""
 
-OTHER_SIDE = [
-    NATIVE.names.index(name.replace("left", "?").replace("right", "left").replace("?", "right"))
-    for name in NATIVE.names
-]
+OTHER_SIDE = [NATIVE.names.index(other_side(name)) for name in NATIVE.names]
 PHOTOS = range(0, 96, 7)
 PATIENT = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
 """A busy machine may take its time."""
@@ -171,8 +168,7 @@ def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, eviden
 
 
 def changed(image: bytes, change: Any) -> bytes:
-    pixels = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_UNCHANGED)
-    return png(np.ascontiguousarray(change(pixels)))
+    return png(np.ascontiguousarray(change(decode(image))))
 
 
 def joints(hypothesis: dict[str, Any], axes: int) -> NDArray[np.float64]:

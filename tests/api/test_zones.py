@@ -165,12 +165,6 @@ class TestNames:
         bow = {"name": "bow", "kind": "watch", "polygon": [[0, 0], [90, 90], [90, 0], [0, 90]]}
         assert configure(client, bow, RIGHT).json()["zones_crossing"] == ["bow"]
 
-    def test_names_are_printable(self, client: TestClient) -> None:
-        response = configure(client, {**RIGHT, "name": "bed\n"})
-        assert "expected a name of printable characters" in check_problem(
-            response, 422, field="zones[0].name"
-        )
-
 
 class TestPeople:
     def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:

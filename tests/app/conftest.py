@@ -1,9 +1,19 @@
+import cv2
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from app.camera import CameraSession
 from app.photograph import Estimator
 from index.store import PoseIndex
 from tests.app.drawn import ColourDetector, drawn_estimator
+from tests.conftest import WALKERS
+
+
+@pytest.fixture(scope="session")
+def street() -> NDArray[np.uint8]:
+    """298x320 crop of a street scene with three walkers and two people far away."""
+    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import cast
 
-import numpy as np
 import pytest
 
 from app.cameras import (
@@ -17,7 +16,8 @@ from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
-from app.vision.optics import Optics, PinholeCamera
+from app.vision.optics import Optics
+from tests.app.tracking.people import result_of
 
 UPLOAD = Upload(b"frame")
 
@@ -45,18 +45,9 @@ class FakeSession:
             raise UploadError("frame", "frame: expected an image", "undecodable")
         self.memory_bytes = n * 1000
         self.frames += 1
-        return TrackedFrame(
-            frame=np.zeros((2, n, 3), np.uint8),
-            camera=PinholeCamera.of_frame((2, n)),
-            warnings=(),
-            frame_index=self.frames - 1,
-            timestamp=float(self.frames if timestamp is None else timestamp),
-            session="new" if self.frames == 1 else "warm",
-            reset=None,
-            persons=(),
-            events=(),
-            timings_ms={},
-        )
+        at = float(self.frames if timestamp is None else timestamp)
+        session = "new" if self.frames == 1 else "warm"
+        return result_of(self.frames - 1, at, width=n, session=session)
 
 
 class Registry(CameraSessions):

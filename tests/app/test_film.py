@@ -19,9 +19,9 @@ from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedP
 from app.video import Frame
 from app.video.reader import VideoError
 from app.vision.geometry import Box
-from app.vision.optics import PinholeCamera
 from index.posture import PostureName
 from index.search import UnavailableError
+from tests.app.tracking.people import result_of
 
 FRAMES = [Frame(2 * n, n / 10, np.zeros((40, 60, 3), np.uint8)) for n in range(3)]
 
@@ -121,20 +121,7 @@ def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
     summary = VideoSummary()
     for index, (timestamp, persons) in enumerate(frames):
         event = Event("entered", index + 1, "instant", timestamp, 1.0)
-        summary.add(
-            TrackedFrame(
-                frame=np.zeros((2, 2, 3), np.uint8),
-                camera=PinholeCamera.of_frame((2, 2)),
-                warnings=(),
-                frame_index=index,
-                timestamp=timestamp,
-                session="warm",
-                reset=None,
-                persons=tuple(persons),
-                events=(event,),
-                timings_ms={},
-            )
-        )
+        summary.add(result_of(index, timestamp, persons=tuple(persons), events=(event,)))
     return summary
 
 

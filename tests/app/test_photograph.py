@@ -24,16 +24,11 @@ from app.vision.person_reader import PersonReader
 from index.landmark_matching import match_landmarks
 from index.matching import Match
 from index.posture import LOW, vote_posture
-from tests.conftest import WALKERS, Photo, png
+from tests.conftest import Photo, png
 from tests.support.jobs import LateJob, ShortJob
 from tests.support.rotation import rotate_box, rotate_points
 
 WALKER = Box(135, 162, 40, 105)
-
-
-@pytest.fixture(scope="module")
-def street() -> NDArray[np.uint8]:
-    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.conftest import ROOT, Photo, Server, running_server
+from tests.conftest import ROOT, Photo, Server
 from tests.support.ports import free_ports
 from tests.support.videos import numbered_frames, write_video
 
@@ -97,12 +97,6 @@ def replaced(text: str, *changes: tuple[str, str]) -> str:
     return text
 
 
-@pytest.fixture(scope="module")
-def service(index_path: Path) -> Iterator[Server]:
-    with running_server(index_path) as server:
-        yield server
-
-
 @contextmanager
 def proxied(name: str, backend: str, folder: Path) -> Iterator[Proxy]:
     """Run a proxy as its file in deploy/ says, but for addresses and certificate."""
@@ -146,10 +140,10 @@ PROXIES = ["nginx", "caddy"]
 
 @pytest.fixture(scope="module", params=PROXIES)
 def proxy(
-    service: Server, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+    server: Server, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Proxy]:
     folder = tmp_path_factory.mktemp(request.param)
-    with proxied(request.param, service.url, folder) as proxy:
+    with proxied(request.param, server.url, folder) as proxy:
         yield proxy
 
 
@@ -160,13 +154,13 @@ def client(proxy: Proxy) -> Iterator[httpx.Client]:
 
 
 def test_a_frame_is_answered_as_without_it(
-    client: httpx.Client, service: Server, photo: Photo
+    client: httpx.Client, server: Server, photo: Photo
 ) -> None:
     # As the page sends it: the service compares the origin with the host.
     there = client.post(
         "/pose", files=photo.files, headers={"Origin": str(client.base_url).rstrip("/")}
     )
-    here = httpx.post(f"{service.url}/pose", files=photo.files)
+    here = httpx.post(f"{server.url}/pose", files=photo.files)
     assert there.status_code == 200
     assert there.json()["persons"] == here.json()["persons"]
     assert client.get("/metrics").status_code == 404

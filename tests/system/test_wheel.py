@@ -13,7 +13,7 @@ import pytest
 from app import VERSION
 from app.vision.models import MODELS
 from index import DEFAULT_PATH
-from tests.conftest import ROOT, WALKERS, Server, start_server, wait_until
+from tests.conftest import ROOT, WALKERS, Server, running_server
 from tests.support.programs import output_of
 
 pytestmark = pytest.mark.slow
@@ -42,23 +42,15 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator
     output_of(python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", wheel)
     empty = folder / "empty"
     empty.mkdir()
-    server = start_server(None, empty, python)
-    try:
-        wait_until(f"{server.url}/readyz")
+    with running_server(None, root=empty, python=python) as server:
         yield server
-    finally:
-        server.stop()
     assert not any(empty.iterdir())
 
 
 @pytest.fixture(scope="module")
 def checkout() -> Iterator[Server]:
-    server = start_server(None)
-    try:
-        wait_until(f"{server.url}/readyz")
+    with running_server(None) as server:
         yield server
-    finally:
-        server.stop()
 
 
 def test_the_wheel_holds_exactly_what_serving_needs(wheel: Path) -> None:

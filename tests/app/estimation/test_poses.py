@@ -182,6 +182,15 @@ def projected(
     return placed, CAMERA.project(placed)
 
 
+def about_line_of_sight(
+    placed: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A placed skeleton about its hips in the axes of their line of sight, and these axes."""
+    hips = placed[HIPS].mean(axis=0)
+    line = to_line_of_sight(hips)
+    return (placed - hips) @ line.T, line
+
+
 def landmarks_of(placed: NDArray[np.float64], visibility: float = 0.9) -> Landmarks:
     """Exact landmarks of a placed skeleton; those that it lacks lie at the nose."""
     rows = [
@@ -202,8 +211,7 @@ def landmarks_of(placed: NDArray[np.float64], visibility: float = 0.9) -> Landma
 @given(x=st.floats(-2, 2), y=st.floats(-0.5, 0.5), z=st.floats(3, 8))
 def test_exact_skeletons_stay_where_they_are(x: float, y: float, z: float) -> None:
     placed, pixels = projected(skeleton(), np.array([x, y, z]))
-    line = to_line_of_sight(placed[HIPS].mean(axis=0))
-    own = (placed - placed[HIPS].mean(axis=0)) @ line.T
+    own, _ = about_line_of_sight(placed)
     result = place_skeletons(own[None], pixels[None], landmarks_of(placed), CAMERA)
     assert_allclose(result.points_2d[0], pixels, atol=1e-6)
     assert_allclose(result.points_3d[0] + result.pelvis[0], placed, atol=0.03)
@@ -211,7 +219,7 @@ def test_exact_skeletons_stay_where_they_are(x: float, y: float, z: float) -> No
 
 def test_first_hypothesis_follows_the_landmarks_in_depth_and_another_one_does_not() -> None:
     placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
-    own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
+    own, _ = about_line_of_sight(placed)
     twin = own * [1.0, 1.0, -1.0]
     result = place_skeletons(
         np.array([twin, twin]), np.array([pixels, pixels + 0.1]), landmarks_of(placed), CAMERA
@@ -225,7 +233,7 @@ def test_first_hypothesis_follows_the_landmarks_in_depth_and_another_one_does_no
 
 def test_joints_are_seen_where_the_landmarks_are_as_far_as_these_are_visible() -> None:
     placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
-    own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
+    own, _ = about_line_of_sight(placed)
     limbs = rows(*LIMBS)
     for visibility in (0.3, 0.9):
         result = place_skeletons(
@@ -237,7 +245,7 @@ def test_joints_are_seen_where_the_landmarks_are_as_far_as_these_are_visible() -
 
 def test_a_hypothesis_that_faces_the_other_way_meets_the_landmarks_of_its_other_side() -> None:
     placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
-    own = (placed - placed[HIPS].mean(axis=0)) @ to_line_of_sight(placed[HIPS].mean(axis=0)).T
+    own, _ = about_line_of_sight(placed)
     exchanged = pixels[OTHER_SIDE] + 0.1
     result = place_skeletons(
         np.array([own, own[OTHER_SIDE] * [1.0, 1.0, -1.0]]),
@@ -251,8 +259,7 @@ def test_a_hypothesis_that_faces_the_other_way_meets_the_landmarks_of_its_other_
 
 def test_alternatives_to_the_first_in_depth_keep_their_distance_from_it() -> None:
     placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
-    line = to_line_of_sight(placed[HIPS].mean(axis=0))
-    own = (placed - placed[HIPS].mean(axis=0)) @ line.T
+    own, line = about_line_of_sight(placed)
     wrist = side_rows("wrist")[0]
     nearer = own.copy()
     nearer[wrist, 2] -= 0.2

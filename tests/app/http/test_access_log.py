@@ -65,22 +65,20 @@ def test_an_unhandled_error_is_a_problem_whose_id_is_in_the_log(
     assert "RuntimeError: secret" in line["exception"]
 
 
-def test_an_answer_that_fails_halfway_is_aborted(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.anyio
+async def test_an_answer_that_fails_halfway_is_aborted(caplog: pytest.LogCaptureFixture) -> None:
     async def halfway(scope: Scope, receive: Receive, send: Send) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": []})
         raise RuntimeError("halfway")
 
     sent: list[Message] = []
 
-    async def ask() -> None:
-        async def send(message: Message) -> None:
-            sent.append(message)
+    async def send(message: Message) -> None:
+        sent.append(message)
 
-        scope = {"type": "http", "method": "GET", "path": "/", "headers": []}
-        app = AccessLogMiddleware(halfway, metrics=Metrics(), table=RouteTable(()))
-        await app(scope, anyio.sleep_forever, send)
-
+    scope = {"type": "http", "method": "GET", "path": "/", "headers": []}
+    app = AccessLogMiddleware(halfway, metrics=Metrics(), table=RouteTable(()))
     with pytest.raises(RuntimeError, match="halfway"):
-        anyio.run(ask)
+        await app(scope, anyio.sleep_forever, send)
     assert [message["type"] for message in sent] == ["http.response.start"]
     assert "unhandled error" in caplog.text

@@ -12,6 +12,8 @@ from app.http.errors import ProblemError, ProblemResponse
 from app.http.identity import Caller, Identity
 from app.scheduling.queue import OverloadedError
 
+pytestmark = pytest.mark.anyio
+
 
 def scope_of(
     method: str = "POST", path: str = "/pose", headers: Any = (), caller: str = ""
@@ -89,26 +91,22 @@ def length(size: int) -> dict[bytes, bytes]:
         ({"full": True}, ("GET",), (200, None, 1)),
     ],
 )
-def test_excess_is_refused_unread(
+async def test_excess_is_refused_unread(
     options: dict[str, Any], asked: tuple[Any, ...], expected: tuple[int, bytes | None, int]
 ) -> None:
-    status, headers, read = anyio.run(answer, admission(**options), *asked)
+    status, headers, read = await answer(admission(**options), *asked)
     assert (status, headers.get(b"retry-after"), read) == expected
 
 
-def test_one_caller_cannot_take_all_places() -> None:
+async def test_one_caller_cannot_take_all_places() -> None:
     stalled = StalledUploads(max_open=4)
-
-    async def ask() -> None:
-        async with anyio.create_task_group() as tasks:
-            for _ in range(4):
-                tasks.start_soon(stalled.stall)
-            await anyio.wait_all_tasks_blocked()
-            assert stalled.statuses == [503]
-            assert (await answer(stalled.admission, caller="another"))[0] == 200
-            tasks.cancel_scope.cancel()
-
-    anyio.run(ask)
+    async with anyio.create_task_group() as tasks:
+        for _ in range(4):
+            tasks.start_soon(stalled.stall)
+        await anyio.wait_all_tasks_blocked()
+        assert stalled.statuses == [503]
+        assert (await answer(stalled.admission, caller="another"))[0] == 200
+        tasks.cancel_scope.cancel()
 
 
 class StalledUploads:
@@ -131,10 +129,12 @@ class StalledUploads:
         await self.admission(scope_of(caller=caller), receive, send)
 
 
-async def stalled_and_more(
-    stalled: StalledUploads, begun: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("begun", [(b"", b""), (b"x" * 100, b"x" * 100, b"x" * 24)])
+async def test_stalled_uploads_make_room_for_others(
+    begun: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Uploads stall; while they have only just begun, one more is refused; then it is answered."""
+    """While they have only just begun, one more is refused; then it is answered."""
+    stalled = StalledUploads(2 if b"" in begun else 9)
     async with anyio.create_task_group() as tasks:
         for part in begun:
             tasks.start_soon(stalled.stall, part)
@@ -149,42 +149,26 @@ async def stalled_and_more(
         tasks.cancel_scope.cancel()
 
 
-@pytest.mark.parametrize("begun", [(b"", b""), (b"x" * 100, b"x" * 100, b"x" * 24)])
-def test_stalled_uploads_make_room_for_others(
-    begun: tuple[bytes, ...], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    stalled = StalledUploads(2 if b"" in begun else 9)
-    anyio.run(stalled_and_more, stalled, begun, monkeypatch)
-
-
-def test_uploads_have_a_limit_of_memory_in_common() -> None:
+async def test_uploads_have_a_limit_of_memory_in_common() -> None:
     """Of 300 bytes together, 225 for one caller."""
     stalled = StalledUploads(9)
-
-    async def ask() -> None:
-        async with anyio.create_task_group() as tasks:
-            for count, caller in ((2, "one"), (1, "two"), (1, "one")):
-                for _ in range(count):
-                    tasks.start_soon(stalled.stall, b"x" * 90, caller)
-                await anyio.wait_all_tasks_blocked()
-            assert stalled.statuses == [503]
-            tasks.start_soon(stalled.stall, b"x" * 90, "three")
+    async with anyio.create_task_group() as tasks:
+        for count, caller in ((2, "one"), (1, "two"), (1, "one")):
+            for _ in range(count):
+                tasks.start_soon(stalled.stall, b"x" * 90, caller)
             await anyio.wait_all_tasks_blocked()
-            assert stalled.statuses == [503, 503]
-            tasks.cancel_scope.cancel()
+        assert stalled.statuses == [503]
+        tasks.start_soon(stalled.stall, b"x" * 90, "three")
+        await anyio.wait_all_tasks_blocked()
+        assert stalled.statuses == [503, 503]
+        tasks.cancel_scope.cancel()
 
-    anyio.run(ask)
 
-
-def test_a_stalled_upload_is_aborted_after_the_grace_period(
+async def test_a_stalled_upload_is_aborted_after_the_grace_period(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("app.http.admission.UPLOAD_GRACE_S", 0.05)
     stalled = StalledUploads()
-
-    async def ask() -> None:
-        with anyio.fail_after(5):
-            await stalled.stall()
-
-    anyio.run(ask)
+    with anyio.fail_after(5):
+        await stalled.stall()
     assert stalled.statuses == [408]

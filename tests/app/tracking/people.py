@@ -1,13 +1,16 @@
 """People of chosen poses, as the estimator returns them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import likeliest_posture
 from app.estimation.results import Facing, Person, ProjectedHypothesis
+from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
+from app.vision.optics import PinholeCamera
 from index.posture import PostureName, vote_posture
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
 from index.store import Label
@@ -66,3 +69,12 @@ def person_of(
         box, "detector", 0.9, None,
         facing=Facing(0.5, "none"), posture=likeliest_posture(votes), hypotheses=tuple(hypotheses),
     )  # fmt: skip
+
+
+def result_of(number: int, timestamp: float, width: int = 2, **given: Any) -> TrackedFrame:
+    """What a session says of a black frame of two rows; in which nobody is unless it is given."""
+    return TrackedFrame(**{
+        "frame": np.zeros((2, width, 3), np.uint8), "camera": PinholeCamera.of_frame((2, width)),
+        "warnings": (), "frame_index": number, "timestamp": timestamp, "session": "warm",
+        "reset": None, "persons": (), "events": (), "timings_ms": {}, **given,
+    })  # fmt: skip

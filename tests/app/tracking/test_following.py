@@ -73,14 +73,16 @@ def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
     assert reader.passes == before + 2
 
 
+def decoded(drawn: Estimator, *people: tuple[int, int]) -> DecodedUpload:
+    return drawn.decode(Upload(draw(*people)), Job())
+
+
 @pytest.mark.parametrize("beside", [False, True])
 def test_a_person_who_was_hardly_seen_behind_others_is_not_searched_for_at_once(
     drawn: Estimator, detector: ColourDetector, beside: bool
 ) -> None:
     people = TrackedPeopleDetector(drawn.finder)
-    both, one = (
-        drawn.decode(Upload(draw(*who)), Job()) for who in (((0, 10), (1, 200)), ((1, 200),))
-    )
+    both, one = decoded(drawn, (0, 10), (1, 200)), decoded(drawn, (1, 200))
     tracks = []
     for number, found in enumerate(people.find(both, 0.0, [], Job())[0]):
         tracks.append(Track(replace(found, beside=beside), 0.0))
@@ -111,7 +113,7 @@ def followed(
     All tracks have the window of the first frame, and each is expected somewhere.
     """
     people = TrackedPeopleDetector(drawn.finder)
-    before, now = (drawn.decode(Upload(draw((0, x))), Job()) for x in (100, left))
+    before, now = decoded(drawn, (0, 100)), decoded(drawn, (0, left))
     (first,), in_window = people.find(before, 0.0, [], Job())
     assert not in_window
     boxes = [replace(first.box, x=place) for place in expected_at]
@@ -157,7 +159,7 @@ def test_for_a_person_who_fell_and_is_not_seen_searches_come_at_their_interval(
     drawn: Estimator, detector: ColourDetector
 ) -> None:
     people = TrackedPeopleDetector(drawn.finder)
-    shown, empty = (drawn.decode(Upload(draw(*them)), Job()) for them in (((0, 100),), ()))
+    shown, empty = decoded(drawn, (0, 100)), decoded(drawn)
     (person,), _ = people.find(shown, 0.0, [], Job())
     track = Track(person, 0.0)
     track.track_id, track.lies_at = 1, person.box
@@ -203,11 +205,11 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
     drawn: Estimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A person enters, leaves and comes back; a file breaks off."""
-    decoded = []
+    uploads = []
     decode = drawn.decode
 
     def counted(upload: Upload, job: Job) -> DecodedUpload:
-        decoded.append(upload)
+        uploads.append(upload)
         return decode(upload, job)
 
     monkeypatch.setattr(drawn, "decode", counted)
@@ -236,7 +238,7 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
             np.testing.assert_array_equal(mine, theirs)
         assert ("truncated" in one.warnings) == (step == 18)
         assert ("zone_outside" in one.warnings) == (step > 85)
-    files = sum(isinstance(upload.frame, bytes) for upload in decoded)
+    files = sum(isinstance(upload.frame, bytes) for upload in uploads)
     assert 40 < files < 75
 
 
@@ -327,9 +329,7 @@ def test_who_is_lost_behind_others_in_a_still_scene_is_searched_for_with_the_nex
 ) -> None:
     """The scene is as still as before, but not everybody is seen."""
     people = TrackedPeopleDetector(drawn.finder)
-    both, one = (
-        drawn.decode(Upload(draw(*who)), Job()) for who in (((0, 10), (1, 200)), ((1, 200),))
-    )
+    both, one = decoded(drawn, (0, 10), (1, 200)), decoded(drawn, (1, 200))
     tracks: list[Track] = []
     for step in range(26):
         found, _ = people.find(both, step / 10, tracks, Job())
@@ -353,7 +353,7 @@ def test_unconfirmed_tracks_are_searched_for_in_a_still_scene(
     drawn: Estimator, detector: ColourDetector
 ) -> None:
     people = TrackedPeopleDetector(drawn.finder)
-    frame = drawn.decode(Upload(draw((0, 100))), Job())
+    frame = decoded(drawn, (0, 100))
     tracks = [Track(one, 0.0) for one in people.find(frame, 0.0, [], Job())[0]]
     for step in range(1, 31):
         if step == 15:

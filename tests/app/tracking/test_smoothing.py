@@ -243,14 +243,8 @@ def test_small_upright_people_keep_the_side_that_they_show(height_px: float, kee
     azimuths = [60.0] * 10 + [110.0] * 2
     people = [person_of([seen_from(azimuth)], [0.9]) for azimuth in azimuths]
     landmarks = Landmarks(np.zeros((33, 2)), np.ones(33), np.zeros((33, 3)))
-    _, last = follow(
-        [
-            replace(
-                person,
-                box=replace(person.box, height=height_px),
-                landmarks=landmarks,
-            )
-            for person in people
-        ]
-    )[-1]
+    _, last = follow([
+        replace(person, box=replace(person.box, height=height_px), landmarks=landmarks)
+        for person in people
+    ])[-1]  # fmt: skip
     assert (azimuth_deg(last.pose.points_3d[None])[0] < 90) == keeps

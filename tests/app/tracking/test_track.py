@@ -284,29 +284,25 @@ def test_who_is_read_in_the_window_of_a_track_is_likelier_its_person() -> None:
         assert there > elsewhere
 
 
-def test_a_person_who_bends_fast_stays_the_same() -> None:
-    """Boxes of UP-Fall at six frames a second: the predicted size lags behind."""
-    first, second, third = map(
-        seen, (Box(317, 166, 70, 293), Box(266, 266, 130, 195), Box(253, 300, 157, 158))
-    )
+@pytest.mark.parametrize(
+    ("boxes", "interval_s", "gap_s"),
+    [
+        # Bends fast, in UP-Fall at six frames a second: the predicted size lags behind.
+        (((317, 166, 70, 293), (266, 266, 130, 195), (253, 300, 157, 158)), 1 / 6, 1 / 6),
+        # Falls in a care home, and is seen again at once, or a third of a second later.
+        *((((364, 33, 128, 217), (343, 28, 169, 208), (368, 104, 123, 118)), 0.08, gap_s)
+          for gap_s in (0.02, 0.32)),
+    ],
+)  # fmt: skip
+def test_a_person_who_is_much_smaller_all_at_once_stays_the_same(
+    boxes: tuple[tuple[int, int, int, int], ...], interval_s: float, gap_s: float
+) -> None:
+    first, second, third = (seen(Box(*box)) for box in boxes)
     track = Track(first, 0.0)
     for number in range(1, 6):
-        track.see(first, number / 6)
-    track.see(second, 1.0)
-    assert associate([track], [third], 1 + 1 / 6) == [track]
-
-
-def test_a_person_who_falls_unseen_is_found_again_though_much_smaller() -> None:
-    """Boxes of a fall in a care home; a third of a second lies between the last two."""
-    first, second, third = map(
-        seen, (Box(364, 33, 128, 217), Box(343, 28, 169, 208), Box(368, 104, 123, 118))
-    )
-    track = Track(first, 0.0)
-    for number in range(1, 6):
-        track.see(first, 0.08 * number)
-    track.see(second, 0.48)
-    assert associate([track], [third], 0.50) == [track]
-    assert associate([track], [third], 0.80) == [track]
+        track.see(first, interval_s * number)
+    track.see(second, 6 * interval_s)
+    assert associate([track], [third], 6 * interval_s + gap_s) == [track]
 
 
 def test_clothes_of_two_people_differ() -> None:

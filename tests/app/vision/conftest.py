@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import strategies as st
@@ -17,7 +16,6 @@ from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
-from tests.conftest import WALKERS
 
 PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
 PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)
@@ -36,12 +34,6 @@ def scores_of(
     detector: NetworkDetector, frame: NDArray[np.uint8], *expected: Box
 ) -> dict[Box, float]:
     return {one.box: one.score for one in detector.detect(frame, expected)[0]}
-
-
-@pytest.fixture(scope="session")
-def street() -> NDArray[np.uint8]:
-    """298x320 crop of a street scene with three walkers and two people far away."""
-    return cv2.imread(str(WALKERS))
 
 
 @pytest.fixture(scope="session")

@@ -28,11 +28,9 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
 from app.vision.person_reader import PersonReader
 from app.vision.tflite import NetworkError
+from index.skeleton import other_side
 
-SWAPPED = [
-    LANDMARK_NAMES.index(n.replace("left", "?").replace("right", "left").replace("?", "right"))
-    for n in LANDMARK_NAMES
-]
+SWAPPED = [LANDMARK_NAMES.index(other_side(name)) for name in LANDMARK_NAMES]
 
 
 def posture_numbers(points: NDArray[np.float64]) -> NDArray[np.float64]:
