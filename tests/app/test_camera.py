@@ -4,9 +4,9 @@ import contextlib
 import sys
 from collections import deque
 
-import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from app.camera import CameraSession, LateFrameError
 from app.estimation.upload import Upload, UploadError
@@ -17,7 +17,7 @@ from app.tracking.events import EventDetector
 from app.tracking.results import Event, TrackedFrame
 from app.vision.geometry import Box
 from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
-from tests.conftest import WALKERS, png
+from tests.conftest import png
 from tests.support.jobs import ShortJob
 
 
@@ -25,9 +25,10 @@ def events(result: TrackedFrame) -> list[tuple[str, int]]:
     return [(event.event, event.track_id) for event in result.events]
 
 
-def test_all_but_poses_is_the_same_whether_or_not_poses_are_wanted(estimator: Estimator) -> None:
+def test_all_but_poses_is_the_same_whether_or_not_poses_are_wanted(
+    estimator: Estimator, street: NDArray[np.uint8]
+) -> None:
     """Two walkers in front of a camera that sways, read by the networks."""
-    street = cv2.imread(str(WALKERS))
     answers = []
     for n in (0, 1, 7):
         session, seen = CameraSession(estimator), []

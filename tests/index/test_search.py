@@ -33,11 +33,7 @@ def _rounded(values: NDArray[np.floating]) -> NDArray[np.float32]:
 def in_steps(count: int, dimension: int, spread: float, seed: int = 0) -> NDArray[np.float32]:
     """Vectors whose values are multiples of a step and fit into a byte."""
     values = np.random.default_rng(seed).normal(0, spread, (count, dimension))
-    return (
-        (np.rint(values * STEPS_PER_UNIT) / STEPS_PER_UNIT)
-        .clip(-LARGEST, LARGEST)
-        .astype(np.float32)
-    )
+    return _rounded(values)
 
 
 def nearest_by_hand(

@@ -29,7 +29,8 @@ from app.bridge.command import fate, run
 from app.bridge.outbox import Outbox
 from app.video.frames import UnreadableError
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
-from tests.conftest import ROOT, WALKERS, Server
+from tests.conftest import ROOT, Server
+from tests.golden.pictures import EMPTY_YARD, STREET, STREET_MASK, WALKER, decode
 from tests.support.videos import noisy_frames, numbered_frames, write_video
 
 Capture = pytest.CaptureFixture[str]
@@ -302,10 +303,8 @@ def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
 
 def falling_walker() -> Iterator[NDArray[np.uint8]]:
     """A walker, cut out of a photograph, stands and then falls over: six frames a second."""
-    data = WALKERS.parent
-    yard, walkers = cv2.imread(str(data / "yard-empty.jpg")), cv2.imread(str(WALKERS))
-    labels = cv2.imread(str(data / "walkers-mask.png"), cv2.IMREAD_GRAYSCALE)
-    mask = np.float32(labels == 2)
+    yard, walkers = decode(EMPTY_YARD), decode(STREET)
+    mask = np.float32(decode(STREET_MASK) == WALKER)
     for number in range(27):
         degrees = 90 * np.clip((number - 9) / 4, 0, 1)
         # About the feet, which are then put on the middle of the yard.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.tracking.results import Event
 from app.tracking.view import View, edge_agreement
 from app.vision.geometry import Box
-from tests.conftest import ROOT
+from tests.golden.pictures import EMPTY_YARD, decode
 
 Grey = NDArray[np.uint8]
 Change = Callable[[Grey], Grey]
@@ -28,8 +28,7 @@ def drawn_room(seed: int) -> Grey:
 
 
 def photographed_yard() -> Grey:
-    yard = cv2.imread(str(ROOT / "tests/data/yard-empty.jpg"), cv2.IMREAD_GRAYSCALE)
-    assert yard is not None
+    yard = cv2.cvtColor(decode(EMPTY_YARD), cv2.COLOR_BGR2GRAY)
     return np.asarray(cv2.resize(yard, (COLUMNS, ROWS), interpolation=cv2.INTER_AREA), np.uint8)
 
 
