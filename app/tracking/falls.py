@@ -8,6 +8,7 @@ right are not told apart, so that neither the frame's size nor a mirror changes 
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
@@ -142,24 +143,29 @@ _STRIDES = (1, 2)
 
 @dataclass(frozen=True)
 class FallModel:
-    """A network with two convolutions over time and a hidden layer.
+    """The mean of a few networks with two convolutions over time and a hidden layer.
 
-    Weights are ``(3 D, H)``, ``(3 H, G)``, ``(8 G, K)`` and ``(K, 2)`` of ``D`` inputs at each
-    point of the grid; offsets ``(H,)``, ``(G,)``, ``(K,)`` and ``(2,)``.
+    Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, 8 G, K)`` and ``(N, K, 2)`` of ``N``
+    networks and ``D`` inputs at each point of the grid; offsets ``(N, H)``, ``(N, G)``, ``(N, K)``
+    and ``(N, 2)``. What single networks say differs by chance, the more the less a track shows.
     """
 
     weights: tuple[NDArray[np.float32], ...]
     offsets: tuple[NDArray[np.float32], ...]
 
     def __post_init__(self) -> None:
-        sizes = [COLUMNS, *(len(offset) for offset in self.offsets)]
+        networks = len(self.weights[0])
+        sizes = [COLUMNS, *(offset.shape[-1] for offset in self.offsets)]
         points = -(-_POINTS // np.prod(_STRIDES))
         factors = [3, 3, int(points), 1]
-        expected = [(n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)]
+        expected = [
+            (networks, n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)
+        ]
         got = [weight.shape for weight in self.weights]
         if len(sizes) != 5 or sizes[-1] != 2 or got != expected:
             raise ValueError(
-                f"expected weights {3 * COLUMNS}x... of two convolutions and two layers, got {got}"
+                f"expected weights Nx{3 * COLUMNS}x... of two convolutions and two layers, "
+                f"got {got}"
             )
 
     @classmethod
@@ -175,14 +181,17 @@ class FallModel:
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Probabilities ``(..., 2)``: fell within the window and is down; the trunk is up now."""
-        values = features.reshape(*features.shape[:-1], _POINTS, COLUMNS)
+        before = features.shape[:-1]
+        values = features.reshape(*before, 1, _POINTS, COLUMNS)
         for layer, stride in enumerate(_STRIDES):
-            seen = _three_points(values, stride) @ self.weights[layer]
-            values = np.maximum(seen + self.offsets[layer], 0)
-        values = values.reshape(*features.shape[:-1], -1)
-        values = np.maximum(values @ self.weights[2] + self.offsets[2], 0)
-        odds = values @ self.weights[3] + self.offsets[3]
-        return sigmoid(np.asarray(odds, np.float64))
+            values = np.maximum(self._layer(layer, _three_points(values, stride)), 0)
+        values = values.reshape(*values.shape[:-2], 1, -1)
+        odds = self._layer(3, np.maximum(self._layer(2, values), 0))
+        return sigmoid(np.asarray(odds[..., 0, :].mean(axis=-2), np.float64))
+
+    def _layer(self, layer: int, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Outputs ``(..., N, P, b)`` of a layer of each network for ``(..., N or 1, P, a)``."""
+        return np.asarray(values @ self.weights[layer] + self.offsets[layer][:, None])
 
 
 def _three_points(values: NDArray[np.float32], stride: int) -> NDArray[np.float32]:
@@ -201,16 +210,14 @@ def shipped_model() -> FallModel:
 
 
 REPORTED_FROM, REPORTED_LOST_FROM = 0.6, 0.7
-"""Probability from which a fall is reported, once it has been as high for :data:`CERTAIN_S`; and
-when a person is seen no more, which in crowds mostly has other reasons.
+"""Low-pass filtered probability from which a fall is reported; and that of a person who is seen no
+more, which in crowds mostly has other reasons.
 
-Chosen on held-out simulated tracks: no more false ones than by the network before, and more falls
-(docs/training.md).
+Chosen on held-out simulated tracks (docs/training.md).
 """
 
-CERTAIN_S = 0.4
-"""Two frames at five a second: no single frame decides."""
-
+# Time constant of the filter, and the most time that a frame counts for: no single one decides.
+_SETTLING_S, _MAX_STEP_S = 0.5, 0.34
 # Probability that the trunk is up, and the time for which it must be as high, before another fall
 # is reported.
 _UP_FROM, _UP_S = 0.5, 1.0
@@ -222,14 +229,15 @@ class FallReport:
     Parameters
     ----------
     reported_from, lost_from : float
-        Probability from which a fall is reported; and of a person who is lost.
+        Filtered probability from which a fall is reported; and that of a person who is lost.
     """
 
     def __init__(
         self, reported_from: float = REPORTED_FROM, lost_from: float = REPORTED_LOST_FROM
     ) -> None:
         self._reported_from, self._lost_from = reported_from, lost_from
-        self._likely_since: float | None = None
+        self._level = 0.0  # the filtered probability
+        self._last_at: float | None = None
         self._up_since: float | None = None
         self.fallen = False
         """Whether a fall was reported and the person was not seen to get up."""
@@ -237,15 +245,20 @@ class FallReport:
     def update(self, timestamp: float, fell: float, up: float, *, lost: bool = False) -> bool:
         """Add the probabilities of a frame; return whether a fall is to be reported now.
 
-        At the frame in which a person is ``lost``, no second one has to confirm it.
+        At the frame in which a person is ``lost``, the probability is not filtered: no other frame
+        can confirm it.
         """
-        self._likely_since = _since(self._likely_since, timestamp, fell >= self._reported_from)
-        self._up_since = _since(self._up_since, timestamp, up >= _UP_FROM)
-        if self._up_since is not None and timestamp - self._up_since >= _UP_S:
+        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
+        self._last_at = timestamp
+        kept = 0.0 if lost else math.exp(-elapsed / _SETTLING_S)
+        self._level = kept * self._level + (1 - kept) * fell
+        if up < _UP_FROM:
+            self._up_since = None
+        elif self._up_since is None:
+            self._up_since = timestamp
+        elif timestamp - self._up_since >= _UP_S:
             self.fallen = False
-        since = self._likely_since
-        certain = since is not None and timestamp - since >= CERTAIN_S
-        if self.fallen or not (fell >= self._lost_from if lost else certain):
+        if self.fallen or self._level < (self._lost_from if lost else self._reported_from):
             return False
         self.fallen = True
         return True
@@ -259,7 +272,8 @@ class FallWatch:
         self._seen: deque[tuple[float, NDArray[np.float64]]] = deque()
         self._report = FallReport()
         self.probability = 0.0
-        """Probability that the person fell within the last seconds and is down."""
+        """Probability of the last frame that the person fell within the last seconds and is down.
+        """
 
     @property
     def fallen(self) -> bool:
@@ -276,9 +290,8 @@ class FallWatch:
     def see(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
         """The same of an observation's row ``(17,)``."""
         self._add(timestamp, row)
-        fell, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
-        self.probability = fell
-        return self._report.update(timestamp, fell, up)
+        self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
+        return self._report.update(timestamp, self.probability, up)
 
     def _add(self, timestamp: float, row: NDArray[np.float64]) -> None:
         """Keep what a frame shows, and forget what the network does not see or need."""
@@ -301,8 +314,3 @@ class FallWatch:
         rows = np.array([row for _, row in self._seen])
         fell, up = self._model.probabilities(window_features(times, rows, timestamp)).tolist()
         return fell, up
-
-
-def _since(before: float | None, now: float, holds: bool) -> float | None:
-    """Since when something holds, None while it does not."""
-    return (now if before is None else before) if holds else None

@@ -112,3 +112,12 @@ def averaged(networks: Sequence[DenseNetwork]) -> DenseNetwork:
             np.mean([network.biases[1] for network in networks], axis=0, dtype=np.float32),
         ),
     )
+
+
+def half_way(one: DenseNetwork, other: DenseNetwork) -> DenseNetwork:
+    """The network with the mean weights of two that scale their inputs alike."""
+    weights, biases = (
+        tuple(np.asarray((a + b) / 2, np.float32) for a, b in zip(*parts, strict=True))
+        for parts in ((one.weights, other.weights), (one.biases, other.biases))
+    )
+    return DenseNetwork(one.means, one.scales, weights, biases)

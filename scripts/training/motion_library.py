@@ -17,7 +17,7 @@ from scripts.training.motions import Motion, Motions
 RATE = 15
 """Frames a second that are kept."""
 
-COUNTS = {"fall": (500, 160), "daily": (400, 160), "recorded": (300, 120)}
+COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120)}
 """Motions by kind, of training and of held-out subjects."""
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
