@@ -38,7 +38,7 @@ STEP_S = 0.2
 """Least time between two windows of a track."""
 
 NETWORKS = 3
-"""Networks whose mean is the model: a third fewer false falls than of one, and more falls found."""
+"""Networks whose mean is the model: in crowds, it has a quarter fewer false falls than one."""
 
 HIDDEN = (48, 48, 48)
 DROPOUT, WEIGHT_DECAY, NOISE = 0.1, 0.01, 0.01
@@ -166,8 +166,8 @@ def model_of(network: Any, kept: NDArray[np.float32]) -> FallModel:
     return FallModel(tuple(one[None] for one in matrices), tuple(one[None] for one in offsets))
 
 
-def together_as_one(models: Sequence[FallModel]) -> FallModel:
-    """The model that gives the mean of some."""
+def mean_of(models: Sequence[FallModel]) -> FallModel:
+    """The model that gives the mean of several models."""
     return FallModel(
         tuple(np.concatenate(parts) for parts in zip(*(m.weights for m in models), strict=True)),
         tuple(np.concatenate(parts) for parts in zip(*(m.offsets for m in models), strict=True)),
@@ -322,7 +322,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             windows_of(film_tracks(options.train), FILM_WEIGHT),
         ]
     )
-    save(together_as_one([trained(windows, seed) for seed in range(NETWORKS)]), options.out)
+    save(mean_of([trained(windows, seed) for seed in range(NETWORKS)]), options.out)
     model = FallModel.load(options.out)
     print("windows", len(windows.inputs), "with a fall", int(windows.targets[:, 0].sum()))
     for name, tracks in (
