@@ -37,8 +37,8 @@ _MAX_GAP_S = 10.0
 # A frame that is late by more than this was not overtaken by another one: the clock was set, or an
 # earlier timestamp was wrong.
 _MAX_LATE_S = 5.0
-# Time without a sighting after which a track is dropped; longer for people who are hidden behind
-# others or vanished away from the frame's border.
+# Time without a sighting after which a track is dropped; longer for people hidden behind others and
+# for people lost away from the frame's border.
 _DROPPED_AFTER_S = 0.5
 
 
@@ -57,13 +57,13 @@ class _Shown:
 
 @dataclass(frozen=True)
 class _EmptyScene:
-    """A camera that showed nobody in the frame before: that frame's shape, and its optics."""
+    """A camera whose previous frame showed no person: that frame's shape, and the optics."""
 
     shape: tuple[int, ...]
     optics: Optics
 
     def shown(self, zones: Sequence[Zone]) -> _Shown:
-        """The next frame, if it shows the same; its pixels, which nobody looks at, stay black."""
+        """The next frame, if it shows the same scene; its pixels are not needed and stay black."""
         black = np.broadcast_to(np.zeros(1, np.uint8), self.shape)
         camera = PinholeCamera.of_frame(self.shape, self.optics.fov_deg)
         return _Shown(black, camera, _warnings(zones, self.shape))
@@ -99,7 +99,7 @@ class CameraSession:
         self._timestamp = -math.inf
         self._arrived = 0.0
         self._empty: _EmptyScene | None = None
-        # These have not been reported yet, since a frame may fail half-way.
+        # Events not reported yet, since a frame may fail half-way.
         self._reset: str | None = None
         self._events: list[Event] = []
 
@@ -110,7 +110,7 @@ class CameraSession:
 
     @property
     def track_ids(self) -> tuple[int, ...]:
-        """Identities of the people who are tracked, ascending."""
+        """Identities of the tracked people, ascending."""
         return tuple(sorted(track.track_id for track in self._tracks if track.track_id is not None))
 
     @property
@@ -129,11 +129,11 @@ class CameraSession:
     ) -> TrackedFrame:
         """Find the people of a frame, identify them, and estimate ``n`` hypotheses of their poses.
 
-        If ``n`` is 0, nobody has hypotheses or a smooth pose, and only people without landmarks are
-        matched; all else is the same as for other ``n``.
-        The timestamp is in seconds; None stands for the time since the frame before, by the
-        session's clock. If the job raises, the next frame reports what began or ended at this one.
-        Zones may change between frames; ``evidence`` is that of
+        If ``n`` is 0, people get no hypotheses and no smooth pose, and only people without
+        landmarks are matched; everything else is the same as for other ``n``. The timestamp is in
+        seconds; without one, the session's clock gives the time since the frame before. If the job
+        raises, the next frame reports the events of this one. Zones may change between frames;
+        ``evidence`` is that of
         :meth:`app.photograph.Estimator.estimate`.
 
         Raises
@@ -175,7 +175,7 @@ class CameraSession:
         return self._answered(shown, timestamp, arrived, persons, job)
 
     def _as_empty(self, decoded: DecodedUpload, optics: Optics) -> _EmptyScene | None:
-        """The scene of a frame as sent, if it shows nobody."""
+        """The scene of a frame as sent, if it shows no person."""
         if self._tracks or decoded.warnings or decoded.rectification.changes:
             return None
         return _EmptyScene(decoded.sent.shape, optics)
@@ -209,7 +209,7 @@ class CameraSession:
         persons: tuple[TrackedPerson, ...],
         job: Job,
     ) -> TrackedFrame:
-        """Finish a frame and report what began or ended at it.
+        """Finish a frame and report its events.
 
         The time is stored only now, so that a frame that failed half-way may be sent again.
         """
@@ -275,9 +275,9 @@ class CameraSession:
     def _find(
         self, decoded: DecodedUpload, evidence: Evidence, timestamp: float, job: Job
     ) -> tuple[list[Person], dict[int, Track]]:
-        """Find people, in the windows of tracks as well unless the caller says where they are.
+        """Find people, in the windows of tracks as well unless the caller marks the people.
 
-        The positions of people whom the window of a track shows lead to that track.
+        Also returns the track for the position of each person found in a track's window.
         """
         shown = decoded.mask, decoded.boxes, decoded.background
         reads = decoded.has_frame and evidence == "photograph"
@@ -290,7 +290,7 @@ class CameraSession:
     def _watch(
         self, timestamp: float, shape: tuple[int, ...], people: Sequence[Person] = ()
     ) -> None:
-        """Watch whether people or anything else hide the view of frames of this shape."""
+        """Watch whether the view of frames of this shape is blocked; people do not count."""
         grey = self._detector.grey
         if grey is not None:
             places = [one.box.scaled(grey.shape[0] / shape[0]) for one in people]
@@ -299,7 +299,7 @@ class CameraSession:
     def _named_by_caller(
         self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
     ) -> list[Track | None]:
-        """The track of each person, which has the caller's identity for them."""
+        """The track of each person by the caller's identity for the person."""
         known = {track.caller_id: track for track in self._tracks}
         tracks = []
         for person, caller_id in zip(people, caller_ids, strict=True):
@@ -316,7 +316,7 @@ class CameraSession:
         timestamp: float,
         zones: Sequence[Zone],
     ) -> list[tuple[Person, Track]]:
-        """Begin tracks of new people, who have none; return the people with their tracks."""
+        """Begin tracks of people without one; return the people with their tracks."""
         seen = []
         for person, known in zip(people, tracks, strict=True):
             track = known or self._begin(person, timestamp)
@@ -327,7 +327,7 @@ class CameraSession:
         return seen
 
     def _begin(self, person: Person, timestamp: float) -> Track | None:
-        """Begin the track of a new person; None where there are too many."""
+        """Begin the track of a new person; None if there are too many tracks."""
         if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
             return None
         track = Track(person, timestamp)
@@ -335,7 +335,7 @@ class CameraSession:
         return track
 
     def _hidden_people(self, timestamp: float) -> list[tuple[Person, Track]]:
-        """People behind others at their expected places, and those who fell where they lie."""
+        """Hidden people at their expected places, and fallen people where they lie."""
         return [
             (Person(box, "track"), track)
             for track in self._tracks
@@ -352,10 +352,10 @@ class CameraSession:
                 self._events.append(track.confirm(self._given_ids, timestamp, zones))
 
     def _drop_unseen(self, frame: NDArray[np.uint8], timestamp: float) -> None:
-        """End the tracks of people who are not seen any more.
+        """End the tracks of people who are no longer visible.
 
-        People who fell lie where they were last seen until the picture changes there. A person
-        who is hidden behind another one is not reported as fallen.
+        A fallen person stays at the last place until the picture changes there. A person hidden
+        behind another one is not reported as fallen.
         """
         kept = []
         for track in self._tracks:
@@ -375,7 +375,7 @@ class CameraSession:
         self._tracks = kept
 
     def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
-        """Where a person is expected whom another one hides; None if nobody does."""
+        """Expected place of a hidden person; None if no other person hides this one."""
         if self._rectification is None:
             return None
         return hidden_box(track, self._tracks, self._rectification.upright, timestamp)
@@ -430,7 +430,7 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
 
 
 def _with_looks(person: Person, frame: NDArray[np.uint8]) -> Person:
-    """A person with what the frame shows of them: their place and the colours of their clothes."""
+    """A person with the picture of their place and the colours of their clothes."""
     silhouette = person.silhouette
     colours = None if silhouette is None else colours_of(frame, silhouette)
     return replace(person, patch=Patch.of(frame, person.box), colours=colours)

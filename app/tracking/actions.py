@@ -30,7 +30,7 @@ from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 MODEL = Path(__file__).parent / "models" / "actions.json"
 
 _EVERYDAY = ("lie", "sit", "stand", "walk", "run")
-"""Actions that are likelier than exercises if the motion of limbs is not seen."""
+"""Actions that are likelier than exercises if the limbs' motion is not visible."""
 
 _SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
     "lie": ON_THE_GROUND,
@@ -40,7 +40,7 @@ _SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
     "walk": ("walking",),
     "run": ("running",),
 }
-"""Postures in which an action is seen; all other actions have those of ``ON_THE_SPOT``."""
+"""Postures that an action shows; all actions not listed show those of ``ON_THE_SPOT``."""
 
 _ON_THE_SPOT: tuple[PostureName, ...] = ("standing", "arms_raised", "bending")
 
@@ -62,8 +62,8 @@ class PoseSample:
     """A pose at a moment, in seconds.
 
     Points ``(24, 3)`` are in camera axes, metres, about the pelvis, which is at ``pelvis_px`` in
-    the frame; the scale is that at the person's distance, the elevation that of the camera above
-    the person.
+    the frame. The scale applies at the person's distance. The elevation is the camera's, above the
+    person.
     """
 
     timestamp: float
@@ -137,7 +137,8 @@ class ActionModel:
         """Probabilities ``(..., A)`` of actions.
 
         They follow from :func:`window_features` ``(..., D)`` and :meth:`votes` ``(..., A)``. The
-        less clearly the motion of limbs is seen, 0 to 1, the more weight everyday actions get.
+        less clearly the picture shows the motion of limbs, 0 to 1, the more weight everyday actions
+        get.
         """
         everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
         odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
@@ -166,7 +167,7 @@ WINDOW_S = 3.0
 
 # The shortest motion that suffices.
 _MIN_WINDOW_S = 1.0
-# Time between two results: what people do changes slowly.
+# Time between two results: actions change slowly.
 _EVERY_S = 0.5
 # Poses closer together only add memory: motion is sampled at 10 Hz.
 _MIN_STEP_S = 1 / 40
@@ -193,9 +194,9 @@ class ActionRecogniser:
     ) -> RecognisedAction | None:
         """Add a frame of the track.
 
-        The track's posture is given if it is more reliable than the motion, as with landmarks; then
-        the actions of hypotheses, which need not be there, do not vote. The result is None until
-        the person has been seen for a second, and if no action is likely.
+        The track's posture is given if it is more reliable than the motion, as with landmarks. The
+        actions of hypotheses then do not vote, and there may be no hypotheses. The result is None
+        until the person has been seen for a second, and if no action is likely.
         """
         timestamp = sample.timestamp
         self._add_sample(sample, () if posture else person.voters)
@@ -220,7 +221,7 @@ class ActionRecogniser:
     def _recognise(
         self, person: Person, posture: EstimatedPosture | None
     ) -> RecognisedAction | None:
-        """The likeliest action of the window, if it is likely enough; none of unclear postures."""
+        """The likeliest action of the window; None if it is unlikely or the posture unclear."""
         if posture is not None and posture.label == "unclear":
             return None
         features = window_features([sample for sample, _ in self._window])

@@ -1,7 +1,7 @@
 """What a frame shows of a tracked person's body: scale, elevation, heading, and a skeleton.
 
-Where landmarks were read, they show one body, whatever else is asked for, so no index has to be
-searched for what people do. Without landmarks, the hypotheses of the silhouette are likely bodies.
+Landmarks show one body directly, so postures and actions need no search of the index. Without
+landmarks, the hypotheses of the silhouette are likely bodies.
 """
 
 from __future__ import annotations
@@ -35,17 +35,18 @@ ELEVATION_MODEL = Path(__file__).parent / "models" / "elevation.npz"
 MAX_BODIES = 12
 """Hypotheses that count as likely bodies; 30 are no better."""
 
-# Weights of the logs of a hypothesis's confidence and, of a person with landmarks, of its distance
-# by silhouette and landmarks: the confidences of all hypotheses that agree with these are near 1.
+# Weights of the log of a hypothesis's confidence and, for a person with landmarks, of the log of
+# its distance by silhouette and landmarks: the confidences of all hypotheses that agree with these
+# are near 1.
 _CONFIDENCE_WEIGHT, _LANDMARK_WEIGHT = 1.5, 40.0
-# Height from which landmarks have their full weight: the side of the network's window. Those of
+# Height from which landmarks have their full weight: the side of the network's window. Landmarks of
 # smaller people jitter, so motion counts more.
 _FULL_WEIGHT_PX = LANDMARK_PX
 
 
 @dataclass(frozen=True)
 class SeenBody:
-    """What one frame shows of a body, by N skeletons of which one is right."""
+    """What one frame shows of a body: N candidate skeletons, one of them right."""
 
     azimuths_deg: NDArray[np.float64]  # (N,): azimuths of the camera about them
     # (N,): up to a constant, for frames a tenth of a second apart.
@@ -54,13 +55,13 @@ class SeenBody:
     px_per_m: float  # scale at the person's distance
     elevation_deg: float  # elevation of the camera above the person
     hips_px: NDArray[np.float64]  # (2,): middle of the hips, pixels of the frame
-    # (24, 3): that of the landmarks, metres about the hips, axes of the line of sight to them. None
-    # without landmarks.
+    # (24, 3): the landmarks' skeleton, metres about the hips, axes of the line of sight to them;
+    # None without landmarks.
     skeleton: NDArray[np.float64] | None
 
     @classmethod
     def of(cls, person: Person) -> SeenBody | None:
-        """What is seen of a person; None without landmarks and hypotheses."""
+        """What the frame shows of a person; None without landmarks and hypotheses."""
         if person.landmarks is not None and person.silhouette is not None:
             return cls._by_landmarks(person, person.landmarks)
         return cls._by_hypotheses(person) if person.hypotheses else None
@@ -116,7 +117,8 @@ def clarity_of(person: Person) -> float:
 
 
 # Points of the trunk, as shares of the way from the middle of the hips to that of the shoulders in
-# the skeletons of the index; the rest of a skeleton has landmarks. The head is between the ears.
+# the skeletons of the index. All other points of a skeleton have landmarks. The head is
+# between the ears.
 _TRUNK = {"pelvis": 0.03, "spine": 0.46, "chest": 0.72, "neck": 1.06}
 _SEEN = [*LIMBS, *FACE_NAMES, *(f"{side}_toe" for side in SIDES)]
 _POINT_ROWS = rows(*_SEEN)

@@ -1,6 +1,6 @@
-"""What happens to a tracked person: they lie down, fall or raise both arms.
+"""Events of a tracked person: the person lies down, falls or raises both arms.
 
-The first and the last follow from filtered postures, falls from a model
+Lying and raised arms follow from filtered postures, falls from a model
 (:mod:`app.tracking.falls`).
 """
 
@@ -17,7 +17,7 @@ from index.posture import POSTURES
 
 # Time constant of the low-pass filter over the frames.
 _SETTLING_S = 0.5
-# Filtered probability at which something begins, and below which it ends.
+# Filtered probability at which an event begins, and below which it ends.
 _BEGINS_FROM, _ENDS_BELOW = 0.5, 0.2
 
 
@@ -44,7 +44,7 @@ class Hysteresis:
 
     @property
     def is_unconfirmed(self) -> bool:
-        """Whether it has begun to show but is not certain."""
+        """Whether the event has begun to show but is not certain."""
         return not self.holds and self.level >= _ENDS_BELOW
 
 
@@ -73,9 +73,9 @@ class EventDetector:
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
-        ``shares`` ``(10,)`` are those of ``POSTURES`` at this frame, weighted by ``reliability``, 0
-        to 1: the probability that the body is read correctly. ``rests`` says whether the person is
-        in a zone for resting, where lying is no event.
+        ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame. They are weighted
+        by ``reliability``, 0 to 1, the probability that the body is read correctly. ``rests`` says
+        whether the person is in a zone for resting, where lying is not an event.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
         step = reliability * elapsed
@@ -94,14 +94,14 @@ class EventDetector:
         return (*events, *happened("fell", "instant" if fell else None, self._falls.probability))
 
     def lost(self, track_id: int, timestamp: float) -> tuple[Event, ...]:
-        """The fall of a person who is not seen any more, if they fell when they were lost."""
+        """The fall of a person who is no longer visible, if the person was lost while falling."""
         if self._rests or not self._falls.lost(timestamp):
             return ()
         return (Event("fell", track_id, "instant", timestamp, self._falls.probability, lost=True),)
 
     @property
     def has_fallen(self) -> bool:
-        """Whether the person fell and was not seen to get up."""
+        """Whether the person fell and no frame showed them getting up."""
         return self._falls.fallen
 
     def unconfirmed(self, track_id: int) -> tuple[Event, ...]:

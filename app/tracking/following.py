@@ -1,10 +1,10 @@
 """Finds the people of a camera's frame: tracked people in their windows, new people by a search.
 
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
-to. Now and then, and if a track's window no longer shows anybody, the whole frame is searched, to
+to. At intervals, and if a track's window no longer shows a person, the whole frame is searched, to
 find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
-have drifted off. While nothing changes around tracked people, searches are rarer; while nobody is
-there, the coefficients of a JPEG show that nothing changes.
+have drifted off. While nothing changes around tracked people, searches are rarer. In an empty
+scene, the coefficients of a JPEG show whether anything changes.
 """
 
 from __future__ import annotations
@@ -31,16 +31,17 @@ from app.vision.same_person import is_expected
 from app.vision.truncation import ends_at_border
 
 SEARCH_EVERY_S = 0.4
-"""Time between two searches of the whole frame if it changes around the tracked people."""
+"""Time between two searches of the whole frame while it changes around the tracked people."""
 
 STILL_SEARCH_EVERY_S = 3.0
-"""The same while it does not."""
+"""Time between two searches while nothing changes around them."""
 
 EMPTY_SEARCH_EVERY_S = 12.0
-"""The same while nobody is tracked either: only who was missed when they came is found later."""
+"""Time between two searches while nothing changes and no person is tracked. Such a search
+finds only people who were missed on entering."""
 
-# A person who enters is soon seen better: for so long after a still scene has changed, every frame
-# is searched.
+# A person entering is soon better visible: for this time after a still scene has changed, every
+# frame is searched.
 _ENTERS_WITHIN_S = 1.0
 
 # A track's window is read for this long after a sighting.
@@ -72,7 +73,7 @@ class TrackedPeopleDetector:
         -------
         people : list of Person
         in_window : dict
-            For the positions of people whom the window of a track shows, that track.
+            Maps the position of each person found in a track's window to that track.
         """
         found, beside, followed = self._targets(upload.frame, timestamp, tracks, job)
         targets = [*found, *(_followed(*one, timestamp) for one in followed.items())]
@@ -91,10 +92,10 @@ class TrackedPeopleDetector:
         return people, in_window
 
     def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
-        """Whether a JPEG file is enough to see that a scene without tracks is still empty.
+        """Whether a JPEG file alone shows that a scene without tracks is still empty.
 
-        Its frame has the shape of those before. If not, or if a search is due, the frame has to be
-        decoded.
+        The frame has the shape of those before. If the result is False, as when a search is due,
+        the frame has to be decoded.
         """
         if timestamp - self._searched_at >= EMPTY_SEARCH_EVERY_S:
             return False
@@ -109,7 +110,7 @@ class TrackedPeopleDetector:
     ) -> tuple[list[Target], list[Detection], Expected]:
         """People found by a search, those perhaps beside them, and tracks to be read in windows.
 
-        If the windows show everybody whom a search may find, there is none.
+        If the windows show all people that a search could find, the frame is not searched.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
@@ -141,7 +142,7 @@ class TrackedPeopleDetector:
         lost: Sequence[Track],
         job: Job,
     ) -> tuple[list[Target], list[Detection], Expected]:
-        """Search a frame, with a lower threshold near people who are lost, until their tracks end.
+        """Search a frame, with a lower threshold near lost people until their tracks end.
 
         A detection is read in the window of the track that expects a person there; a window is
         read once.
@@ -162,7 +163,7 @@ class TrackedPeopleDetector:
     def _shown(
         self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
     ) -> Expected:
-        """Read tracks in their windows; those that still show their people, with the readings."""
+        """Read tracks in their windows; return those that still show their person, with reading."""
         targets = [_followed(*one, timestamp) for one in expected.items()]
         readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
         return {track: reading for track, reading in readings if reading is not None}
@@ -174,7 +175,7 @@ class _Followed:
 
     tracks: Sequence[Track]
     people: list[Track]  # tracks that are confirmed
-    lost: list[Track]  # people whom the frame before did not show
+    lost: list[Track]  # people missing in the frame before
     recent: list[Track]  # tracks seen a moment ago
     expected: Expected  # their windows
 
@@ -188,23 +189,24 @@ class _Followed:
 
     @property
     def all_in_windows(self) -> bool:
-        """Whether everybody is confirmed and has a window."""
+        """Whether all people are confirmed and have windows."""
         return len(self.expected) == len(self.people) == len(self.tracks) and not self.lost
 
     @property
     def may_suffice(self) -> bool:
-        """Whether the windows may show everybody there is, if anybody.
+        """Whether the windows may show all people of the scene.
 
-        People who fell lie where they were last seen; they cause no search before the next one.
+        After a fall, a person who is no longer visible is assumed at the last place and causes no
+        search before the next regular one.
         """
         some = self.expected or not self.tracks or any(track.lies_at for track in self.tracks)
         return len(self.expected) == len(self.recent) and bool(some)
 
 
 def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
-    """Whether a person who is not in their window may be found by a search at once.
+    """Whether an immediate search may find a person who is not in their window.
 
-    Not if they have left the frame, or were hardly seen behind others.
+    It cannot if the person has left the frame, or was hardly visible behind others.
     """
     return not (track.beside or ends_at_border(track.box_filter.seen, frame_shape))
 
@@ -215,11 +217,12 @@ def _followed(track: Track, window: PersonWindow | PoseReading, timestamp: float
     return Target(place, window, followed=True)
 
 
-# Height of the smallest wanted person where frames are compared, and their longest side. Cells are
-# means of many pixels, so a sensor's noise of 4 levels becomes less than one.
+# Height of the smallest wanted person in the small pictures that are compared, and the longest side
+# of these pictures. Cells are means of many pixels, so a sensor's noise of 4 levels becomes less
+# than one.
 _PERSON_CELLS, _MAX_CELLS = 8, 640
-# A change is a connected area, wider than it was by a cell on every side, that is this high: more
-# than half of the smallest person, and more than the digits of a camera's clock.
+# A change is a connected area of at least this height, which includes a cell added on every side:
+# more than half of the smallest person, and more than the digits of a camera's clock.
 _MIN_CHANGE_CELLS = 7
 # Difference of means over 3x3 cells, grey levels.
 _MIN_DIFFERENCE = 5
@@ -239,7 +242,7 @@ def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, tuple[int
 class _Scene:
     """What a fixed camera shows around tracked people, compared with the last search's frame.
 
-    Changes since then add up, so also slow ones are noticed.
+    Changes since then add up, so slow changes are noticed, too.
     """
 
     def __init__(self) -> None:
@@ -259,7 +262,7 @@ class _Scene:
         small = shrink_quickly(frame, width, height)
         self.now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         places = [track.box_filter.predict(time) for track in tracks]
-        # Tracks that have ended are let go.
+        # Tracks that have ended are dropped.
         self._boxes = {one: self._boxes.get(one, one.box_filter.seen) for one in tracks}
         places += self._boxes.values()
         if self._searched is None or self._differs(self._searched, now, scale, places):
@@ -269,7 +272,7 @@ class _Scene:
     def is_still_in_file(
         self, data: bytes, shape: tuple[int, ...], smallest_px: float, time: float
     ) -> bool:
-        """The same without tracks, by a JPEG file; False also where the frame has to decide."""
+        """The same without tracks, from a JPEG file; False also if the frame has to be decoded."""
         scale, (height, width) = _small(shape, smallest_px)
         if self._searched is None or time - self._changed_at < _STILL_AFTER_S:
             return False
@@ -290,7 +293,7 @@ class _Scene:
         return still
 
     def restart(self) -> None:
-        """Compare with the present frame from now on, since it is searched."""
+        """Compare later frames with the present one, since it is searched."""
         self._searched, self._boxes = self.now, {}
 
     @staticmethod

@@ -1,8 +1,8 @@
 """How a person moves over the ground, and which way they face.
 
-The velocity follows from the box and the camera's elevation. The heading is followed by a Bayes
-filter on the circle of azimuths: single frames confuse front and back, or left and right, above all
-for people who are small or seen from the side; but people turn gradually, and mostly walk in the
+The velocity follows from the box and the camera's elevation. A Bayes filter on the circle of
+azimuths follows the heading: single frames confuse front and back, or left and right, above all for
+people who are small or seen from the side. But people turn gradually, and mostly walk in the
 direction they face.
 """
 
@@ -42,11 +42,11 @@ STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 # Time over which a velocity is measured, and the fewest frames for it.
 _WINDOW_S, _MIN_FRAMES = 1.0, 3
-# Least elevation for a velocity, whose direction matters, and its least sine for the path from
-# which actions are recognised, in which noise must not look like steps.
+# Least elevation for a velocity, since its direction matters, and least sine of the elevation for
+# the path that actions are recognised from, since its noise must not look like steps.
 _MIN_ELEVATION_DEG, _MIN_PATH_SINE = 6.0, 0.35
-# Elevation from which steps away from the camera count in full for the speed: seen by a lower
-# camera, they hardly change the height in the picture.
+# Elevation from which steps away from the camera count in full for the speed. For a lower camera,
+# such steps hardly change the height in the picture.
 _RELIABLE_ELEVATION_DEG = 20.0
 
 
@@ -71,7 +71,7 @@ class GroundMotion:
     ) -> GroundVelocity:
         """Add a frame and return the velocity over the last second.
 
-        The box is of the whole person. Their scale, and the elevation of the camera, are from this
+        The box surrounds the whole person. The scale and the camera's elevation are from this
         frame.
         """
         self._elevation_sum_deg += elevation_deg
@@ -111,21 +111,20 @@ BINS = 36
 # full size, and on Pose2Sim's cameras at a tenth of it.
 
 # Standard deviations: of the turn of a person within a second; of the azimuth of a right
-# hypothesis, for small and for large people; of the angle between the directions in which people
-# walk and face.
+# hypothesis, for small and for large people; of the angle between walking and facing direction.
 _TURN_DEG, _SEEN_DEG, _CLEARLY_SEEN_DEG, _WALKING_DEG = 80.0, 20.0, 15.0, 40.0
 # Rate of jumps to any other heading: detection and identity may be wrong.
 _JUMPS_PER_S = 0.05
 # Share of frames in which no hypothesis faces the right way.
 _OUTLIER_SHARE = 0.2
-# Share of people who walk in any other direction than they face.
+# Share of people walking in any other direction than they face.
 _BACKWARD_SHARE = 0.1
 # Weight of the walking direction, which is measured over a second; the speed from which it is used,
 # and the speed from which it has this weight.
 _DIRECTION_WEIGHT = 0.3
 _MIN_WALKING_M_S, _FULL_WALKING_M_S = 0.5, 1.0
 # Probability of the other side from which front and back are exchanged: people seen from the side
-# keep one of them.
+# keep front or back.
 _SWITCH_FROM = 0.8
 MIN_TURNED_DEG = 2.0
 """Least turn of the shoulders from the exact side view."""
@@ -237,8 +236,8 @@ REFERENCE_HZ = 10.0
 class Motion:
     """How a person moves at a frame, and which way they face.
 
-    ``elevation_deg``, of the camera above the person, is averaged over the track, ``px_per_m`` is
-    the scale of this frame; ``walks`` says whether the motion shows the heading.
+    ``elevation_deg``, of the camera above the person, is averaged over the track. ``px_per_m`` is
+    the scale of this frame. ``walks`` says whether the motion shows the heading.
     """
 
     velocity: GroundVelocity
@@ -256,7 +255,7 @@ class MotionFilter:
         self._last_at = -math.inf
 
     def update(self, timestamp: float, box: Box, body: SeenBody) -> Motion:
-        """Add a frame; the box is of the whole person."""
+        """Add a frame; the box surrounds the whole person."""
         velocity = self._ground.update(timestamp, box, body.px_per_m, body.elevation_deg)
         independence = min(1.0, REFERENCE_HZ * (timestamp - self._last_at))
         self._last_at = timestamp
@@ -269,7 +268,7 @@ class MotionFilter:
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:
-    """Azimuth of a person who walks forwards."""
+    """Azimuth of the camera about a person walking forwards."""
     return float(np.rad2deg(np.arctan2(-velocity.right, -velocity.away)))
 
 

@@ -1,20 +1,20 @@
-"""People who stand in front of others: what they cover, and where the hidden ones are expected."""
+"""Occlusion of people by others: the covered share, and the expected place of a hidden person."""
 
 from collections.abc import Sequence
 
 from app.tracking.track import Track
 from app.vision.geometry import Box
 
-# A person who is hidden behind another one is expected for so long.
+# Time for which the place of a hidden person is predicted.
 PREDICTED_FOR_S = 2.0
 # Share of a person's box that another must cover to hide them.
 _HIDDEN_SHARE = 0.5
 
 
 def covered_share(track: Track, place: Box, tracks: Sequence[Track], timestamp: float) -> float:
-    """Largest share of a person's place that another person covers who is seen in this frame.
+    """Largest share of a person's place that a single other person covers.
 
-    Others count once they have an identity.
+    Others count if this frame shows them and they have an identity.
     """
     others = (
         other.box_filter.seen.intersection(place) / place.area
@@ -27,7 +27,7 @@ def covered_share(track: Track, place: Box, tracks: Sequence[Track], timestamp: 
 def hidden_box(
     track: Track, tracks: Sequence[Track], size: tuple[int, int], timestamp: float
 ) -> Box | None:
-    """Where a person is expected whom another one hides; None if nobody does, or for too long.
+    """Expected place of a hidden person; None if no other hides them, or after too long a time.
 
     ``size`` is the height and width of the frame, pixels.
     """

@@ -42,14 +42,14 @@ class RecognisedAction:
 
 @dataclass(frozen=True)
 class Event:
-    """Something that began, ended or happened to a tracked person or the camera at a frame.
+    """An event of a tracked person or of the camera at a frame.
 
-    Without ``track_id`` it is of the camera: ``obstructed``. The state is ``begin`` or ``end`` of
-    ``lying``, ``arms_raised`` and ``obstructed``; ``instant`` for all others; ``unconfirmed`` if it
-    had only begun to show at the last frame. The zones are those in which the
-    person is; of ``zone_entered`` and ``zone_left``, the zone that they entered or left.
-    ``dwell_s``, only of ``zone_left``, is how long they were in it. ``lost`` is whether the person
-    who fell was not seen any more.
+    An event without ``track_id``, ``obstructed``, concerns the camera. The state is ``begin`` or
+    ``end`` for ``lying``, ``arms_raised`` and ``obstructed``, and ``instant`` for all others. It is
+    ``unconfirmed`` if the event had only begun to show at the last frame. The zones are those that
+    the person is in; for ``zone_entered`` and ``zone_left``, the zone that the person entered or
+    left. ``dwell_s``, only with ``zone_left``, is how long the person was in it. ``lost`` says
+    whether a fallen person was no longer visible.
     """
 
     event: EventName
@@ -68,9 +68,9 @@ class TrackedPerson(Person):
     """A person of a frame and the track they belong to; facing and posture are the track's.
 
     ``age_frames`` includes this one. There is no pose if the track has had no silhouette for a
-    second; no action until enough frames have been seen, and if none is likely. The caller may have
-    given the person's box an identity of their own. ``still_s`` is the time since which the person
-    looks the same, once it is so long that they may be a statue or a poster.
+    second, and no action before enough frames or if no action is likely. ``caller_track_id`` is the
+    caller's own identity for the person's box, if given. ``still_s`` is the time for which the
+    person has looked the same, once it is so long that the person may be a statue or a poster.
     """
 
     track_id: int
@@ -86,8 +86,8 @@ class TrackedPerson(Person):
 class TrackedFrame(Estimate):
     """A frame of a camera session, its people from left to right, in pixels as sent.
 
-    ``session`` is ``new`` if the frame, number ``frame_index`` from 0, began it; ``reset`` says as
-    a sentence why all tracks were dropped before it.
+    ``frame_index`` counts from 0. ``session`` is ``new`` if the frame began the session. ``reset``
+    is a sentence that says why all tracks were dropped before the frame.
     """
 
     persons: tuple[TrackedPerson, ...]

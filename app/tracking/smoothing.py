@@ -30,14 +30,14 @@ _SHOULDERS, _HIPS = (
     for joint in ("shoulder", "hip")
 )
 
-# Largest cost of a move: none is impossible, since detection and identity may be wrong.
+# Largest cost of a move: no move is impossible, since detection and identity may be wrong.
 _MAX_COST = 48.0
 # Poses at this distance from the most probable one weigh 60 % of it.
 _NEARBY_M = 0.25
 # Exponent of probabilities: frames are not independent.
 _SHARPNESS = 0.5
-# Time over which a line is fitted to the averages for landmarks of full weight, which follow quick
-# limbs; and the largest number of frames in any line.
+# Time over which a line is fitted to the averages, for landmarks of full weight (they follow quick
+# limbs); and the largest number of frames in any line.
 _LANDMARK_LINE_S, _MAX_LINE_FRAMES = 0.12, 24
 EXTRAPOLATED_S = 1.0
 """A pose is kept this long without a silhouette."""
@@ -69,8 +69,8 @@ class Smoothed:
     """A track's pose at its newest frame, and what follows from it.
 
     ``votes`` ``(10,)`` are the shares of ``POSTURES`` among the states, weighted by their
-    probabilities. The pose's confidence follows from a weighted sum of the log odds of the
-    hypotheses near it, and of those of the share of probability near it.
+    probabilities. The pose's confidence follows from a weighted sum of two log odds: of the
+    hypotheses near the pose, and of the share of probability near it.
     """
 
     pose: SmoothedPose
@@ -80,7 +80,7 @@ class Smoothed:
 
 @dataclass(frozen=True)
 class _Frame:
-    """A frame's N hypotheses as arrays, best first, and how clearly they are seen."""
+    """A frame's N hypotheses as arrays, best first, and how clearly the body is visible."""
 
     hypotheses: Sequence[ProjectedHypothesis]
     points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
@@ -133,7 +133,7 @@ class _Place:
         return cls(person.whole_box.foot, None if silhouette is None else silhouette.centroid)
 
     def minus(self, before: _Place) -> NDArray[np.float64]:
-        """How far ``(2,)`` the person has moved since."""
+        """How far ``(2,)`` the person has moved since another place."""
         if self.centroid is None or before.centroid is None:
             return self.foot - before.foot
         return self.centroid - before.centroid
@@ -289,7 +289,7 @@ class PoseSmoother:
     def _kept_on_visible_side(
         self, points_3d: NDArray[np.float64], heading: Heading
     ) -> NDArray[np.float64]:
-        """A skeleton ``(24, 3)`` turned no farther than needed to show the side that is seen."""
+        """A skeleton ``(24, 3)`` turned just far enough to show the visible side."""
         right, _, away = points_3d[_SHOULDERS[0]] - points_3d[_SHOULDERS[1]]
         shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
         wanted_deg = heading.on_visible_side(shoulders_deg)

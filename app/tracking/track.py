@@ -1,4 +1,4 @@
-"""Tracks: one person over time each, and the track to which each sighting belongs."""
+"""Tracks, each of one person over time, and the assignment of sightings to tracks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from index.posture import POSTURES, PostureName, camera_up, classify_postures, v
 
 # With landmarks: the probability of a person from which a track counts as one.
 _MIN_PROBABILITY = 0.9
-# Time over which windows are averaged: a person may take a seat that was followed while empty.
+# Time over which windows are averaged: a person may sit down on a chair that was tracked as one.
 _WINDOW_MEAN_S = 3.0
 # Without landmarks: the detector's score that is enough at once, and the number of sightings that
 # is always enough.
@@ -42,9 +42,9 @@ _CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
 # held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
 # 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
 _RELIABILITY_EXPONENT = 0.25
-# Time in which a person comes to rest who is lost while falling.
+# Time in which a person lost while falling comes to rest.
 _COMES_TO_REST_S = 2.0
-# Time in which the picture of a person stays the same, from which they may be a statue or a poster.
+# Time without a change after which the picture of a person may show a statue or a poster.
 _STILL_FROM_S = 600.0
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1
@@ -53,8 +53,8 @@ _COLOUR_GAIN = 0.1
 class Track:
     """One person of a camera session.
 
-    In each frame that shows the person, :meth:`see` adds the place. Once the track is confirmed,
-    :meth:`update` adds the poses, also of a frame in which the person is hidden and has none.
+    For each frame that shows the person, :meth:`see` adds the place. Once the track is confirmed,
+    :meth:`update` adds the poses, also for a frame in which the person is hidden and has no pose.
     """
 
     def __init__(self, person: Person, timestamp: float) -> None:
@@ -67,19 +67,19 @@ class Track:
         self.sightings = self._windows = 0
         self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
         self.score = 0.0
-        """Highest probability of a person given by the detector; 1 if the caller said so."""
+        """Highest probability of a person given by the detector; 1 if the caller marked them."""
         self.seen_at = timestamp
         """Time of the last sighting, seconds."""
         self.lies_at: Box | None = None
-        """Where a person lies who fell and is not seen any more; None for others."""
+        """Where the person lies after a fall, once no longer visible; otherwise None."""
         self.hidden = False
-        """Whether another person was where they were expected, since they were seen."""
+        """Whether another person was at the expected place since the last sighting."""
         self._patch, self._rests_from = person.patch, -math.inf
         self._still, self._still_from = person.patch, timestamp
         self.next_window: PersonWindow | None = person.next_window
-        """Window in which the person is looked for next."""
+        """Window in which the next frame is read."""
         self.beside = person.beside
-        """Whether others hid the person so that this window hardly shows them."""
+        """Whether others hid the person, so that the next window hardly shows them."""
         self.colours = person.colours
         self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
         self._recogniser = ActionRecogniser()
@@ -100,7 +100,7 @@ class Track:
         return self.score >= _CONFIRMING_SCORE or self.sightings >= _CONFIRMING_SIGHTINGS
 
     def _probability(self, shown_odds: float) -> float:
-        """Probability that a person is tracked, by Bayes' rule.
+        """Probability that the track is a person, by Bayes' rule.
 
         The detector's highest score is the prior. The mean of the windows' odds counts as a single
         observation, because furniture that looks like a person does so in every frame.
@@ -108,7 +108,7 @@ class Track:
         return probability_of(log_odds(self.score) + shown_odds)
 
     def see(self, person: Person, timestamp: float) -> None:
-        """Add where the person is in this frame, and how they look."""
+        """Add the person's place and appearance in this frame."""
         truncated = person.silhouette is not None and person.silhouette.truncated
         if self.sightings:
             self.box_filter.update(person.box, timestamp, whole=not truncated)
@@ -130,12 +130,12 @@ class Track:
             self.colours = self.colours + _COLOUR_GAIN * (person.colours - self.colours)
 
     def known(self, timestamp: float) -> KnownPerson:
-        """The person as expected in a frame."""
+        """The person as expected in a frame, for comparison with the people found there."""
         boxes = self.box_filter.predict(timestamp), self.box_filter.seen
         return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
 
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
-        """Give the track an identity; return the event of a person who has entered."""
+        """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
         self._zone_watch.locate(zones, self.box_filter.seen, None)
         return self._moment("entered", track_id, timestamp)
@@ -149,12 +149,12 @@ class Track:
         frame: NDArray[np.uint8],
         covered: float = 0.0,
     ) -> tuple[TrackedPerson, list[Event]]:
-        """Add what a frame shows of the body; if nothing, the last pose moves with the person.
+        """Add what a frame shows of the body; if it shows none, the last pose moves along.
 
-        The person is as estimated from this frame ``(H, W, 3)`` alone. With
-        landmarks, all but the pose follows from these, so that it does not matter whether the
-        person has hypotheses. ``covered`` is the share of their box that another person's covers.
-        What begins, ends or happens with it is returned as well.
+        The person is as estimated from this frame ``(H, W, 3)`` alone. With landmarks, everything
+        except the pose follows from these, so hypotheses are not needed. ``covered`` is the share
+        of the person's box that another person's box covers. The events of the frame are returned
+        as well.
         """
         track_id = self._known_id()
         self._compare(person, frame, covered, timestamp)
@@ -188,7 +188,7 @@ class Track:
     def _compare(
         self, person: Person, frame: NDArray[np.uint8], covered: float, timestamp: float
     ) -> None:
-        """Keep the picture since which the person looks the same; people in front do not count."""
+        """Keep the first picture since the person last changed; people in front do not count."""
         if person.patch is None or covered > 0:
             return
         if self._still is None or not self._still.is_shown_by(frame):
@@ -239,11 +239,11 @@ class Track:
     def lose(
         self, frame: NDArray[np.uint8], timestamp: float, *, alone: bool = True
     ) -> tuple[list[Event], bool]:
-        """The events of a person who is not seen any more, and whether the track goes on.
+        """The events of a person who is no longer visible, and whether the track goes on.
 
-        It does where the person fell, and the picture still shows the same at their place. A person
-        does not fall by being lost where another tracked person is seen, who may be the same or
-        hide them: ``alone`` says that none is. Nor does a person who was hidden since then.
+        The track goes on if the person fell and the picture at their place has not changed. Losing
+        a person counts as a fall only if the person is ``alone`` and has not been hidden since the
+        last sighting: another tracked person at the place may be the same or hide them.
         """
         if self.track_id is None:
             return [], False
@@ -262,7 +262,7 @@ class Track:
         return events + self.end(timestamp), False
 
     def end(self, timestamp: float) -> list[Event]:
-        """End the track; return the zones that the person leaves, and that they have left."""
+        """End the track; return ``zone_left`` for the person's zones, and ``left``."""
         if self.track_id is None:
             return []
         crossings = self._zone_watch.end(self.track_id, timestamp, self.seen_at)
@@ -334,7 +334,7 @@ def _reliability(person: Person, confidence: float) -> float:
 
 
 def _score(person: Person) -> float:
-    """The detector's probability of a person; 1 if the caller said where people are."""
+    """The detector's probability of a person; 1 if the caller marked the people."""
     return 1.0 if person.detection_score is None else person.detection_score
 
 
@@ -345,10 +345,10 @@ def _observation(
     frame_shape: tuple[int, ...],
     covered: float,
 ) -> Observation:
-    """What the model of falls sees of a person: the frame alone, its landmarks if any were read.
+    """The input of the fall model from one frame, with landmarks if any were read.
 
-    Without them, the posture is that of the hypotheses, whose shares ``(10,)`` are given, and the
-    confidence that of their smooth pose.
+    Without landmarks, the posture is that of the hypotheses, whose shares ``(10,)`` are given, and
+    the confidence is that of the smooth pose.
     """
     if person.frame_posture is None or person.landmarks is None:
         return Observation(
@@ -357,8 +357,9 @@ def _observation(
     return Observation.of(person, frame_shape, covered)
 
 
-# Least probability that two people are one. Of the pairs of held-out films, 1.3 % of one person are
-# taken for two (1.2 by the rules before), and 11 % of two for one (23) if nobody fits better.
+# Least probability that two sightings are the same person. In pairs of held-out films, one person
+# is taken for two in 1.3 % (1.2 by the earlier rules), and two people for one in 11 % (23) if no
+# other fits better.
 _LEAST_SAME = 0.25
 _MAX_COST = -math.log(_LEAST_SAME)
 
@@ -371,8 +372,8 @@ def associate(
 ) -> list[Track | None]:
     """The track of each person of a frame, None for a new one.
 
-    The pairs are the likeliest together, each at least as likely as :data:`_LEAST_SAME`.
-    ``in_window`` has the track in whose window a person was read, by the person's position.
+    The pairs have the highest joint probability, and each has at least :data:`_LEAST_SAME`.
+    ``in_window`` maps a person's position to the track whose window the person was read in.
     """
     shown, pairs, features = in_window or {}, list[tuple[int, int]](), list[NDArray[np.float64]]()
     for row, track in enumerate(tracks):
@@ -391,7 +392,7 @@ def associate(
     return [tracks[row] if row >= 0 else None for row in rows]
 
 
-# Share of the difference between prediction and observation by which each is corrected.
+# Shares of the difference between prediction and observation that correct place, velocity, size.
 _PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
 # Time in which an unseen person's velocity falls to 1/e.
 _DRIFT_S = 1.0
@@ -421,7 +422,7 @@ class BoxFilter:
         return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
 
     def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Correct the prediction by an observed box; it shrinks only if the person is whole."""
+        """Correct the prediction by an observed box; it shrinks only for a whole person."""
         elapsed = max(timestamp - self._timestamp, _MIN_ELAPSED_S)
         predicted = self._predicted_place(elapsed)
         growth = np.array([box.width, box.height]) - self._size

@@ -1,8 +1,8 @@
 """Whether the view of a fixed camera is blocked: covered, out of focus, or turned away.
 
 The mean of the pictures of the last minutes is the usual view. A view is blocked while few of its
-edges remain, whatever hides them. Where it is dark, nothing can be said: a lens that is covered so
-that the picture is black looks like a room without light.
+edges remain, whatever hides them. In the dark, the view is unknown: a covered lens that gives a
+black picture looks like a room without light.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from app.tracking.events import Hysteresis
 from app.tracking.results import Event, EventState
 from app.vision.geometry import Box
 
-# Time over which the usual view is learned: a passer-by hardly counts, the course of a day does,
-# and a camera that stays turned has a new view. At first, all time so far counts alike.
+# Time over which the usual view is learned: a passer-by hardly changes it, the course of a day
+# does, and a camera that stays turned gets a new view. At first, all frames have equal weight.
 _LEARNED_S = 600.0
-# Time until it is known: films are often cut into shots of a few seconds, and what a camera in a
-# hand sees seldom lasts so long.
+# Time until the view is known: films are often cut into shots of a few seconds, and the view of a
+# handheld camera seldom lasts this long.
 _KNOWN_AFTER_S = 10.0
-# Time between two frames that are looked at: a look costs milliseconds, and a blocked view lasts.
+# Time between two frames that are checked: a check costs milliseconds, and a blocked view lasts.
 _LOOK_EVERY_S = 1.0
 # Most time that a single frame counts for: too short to begin an event.
 _MAX_STEP_S = 3.0
@@ -31,24 +31,24 @@ _MAX_STEP_S = 3.0
 # pass close to the camera.
 _SETTLING_S = 5.0
 
-# The values below were chosen on four photographs and drawings that were dimmed to an eighth,
-# overexposed, lit from one side or in the middle alone (.34 and more of the edges remain), and
-# blurred by 5 % of their height, covered, exchanged, or shifted by a third (.16 at most).
+# The values below were chosen on four photographs and drawings. At least .34 of the edges remain if
+# these are dimmed to an eighth, overexposed, or lit from one side or in the middle alone. At most
+# .16 remain if they are blurred by 5 % of their height, covered, exchanged, or shifted by a third.
 
 _BLOCKED_BELOW = 0.25
-# Difference between neighbouring cells that is an edge, grey levels: noise, as a mean, is below 1.
+# Least difference between neighbouring cells at an edge, grey levels: the mean noise is below 1.
 _MIN_EDGE = 3.0
-# Mean agreement over the time in which the view was learned from which an edge belongs to it. Those
-# of people who walk over a plain floor do not last.
+# An edge belongs to the view from this mean agreement over the learning time. The edges of people
+# walking over a plain floor do not last.
 _LASTING = 0.7
-# Part of its strength that an edge keeps, in the local contrast; noise is no edge.
+# Share of its strength, relative to the local contrast, that an edge must keep; noise is no edge.
 _KEPT_STRENGTH, _MIN_KEPT = 0.4, 0.75
 # Local contrast is that within a quarter of the picture's height. It may fall to a quarter by less
 # light or haze, and double.
 _LOCAL_SHARE, _GAINS = 0.25, (0.5, 4.0)
 # Level of a cell below which nothing shows.
 _DARK_BELOW = 20.0
-# Share of cells with edges from which there is anything to see.
+# Least share of cells with edges for a decision.
 _MIN_EDGES = 0.02
 # A picture with so few edges beside the usual view, as of a cover, is no view to learn.
 _MIN_LEARNED = 0.25
@@ -74,8 +74,8 @@ class View:
     ) -> list[Event]:
         """Add a frame's small grey picture ``(h, w)``; return the change, if any.
 
-        ``places`` are boxes of people in it, who may hide the view. A picture of another size
-        begins a new view.
+        ``places`` are the boxes of people in the picture, since people may hide the view. A picture
+        of another size begins a new view.
         """
         elapsed = 0.0 if self._last_at is None else timestamp - self._last_at
         if 0 < elapsed < _LOOK_EVERY_S:
@@ -106,7 +106,7 @@ class View:
         agreement: NDArray[np.float32],
         places: Sequence[Box],
     ) -> bool | None:
-        """Whether few of the lasting edges remain; None where hardly any would be seen."""
+        """Whether few of the lasting edges remain; None if too few edges could be visible."""
         strength = np.abs(_gradients(usual))
         counts = (strength >= _MIN_EDGE) & (self._lasting >= _LASTING) & (grey >= _DARK_BELOW)
         for left, top, right, bottom in (box.pixels() for box in places):
@@ -139,11 +139,11 @@ class View:
 
 
 def edge_agreement(usual: NDArray[np.float32], grey: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """How far the edges of two pictures ``(h, w)`` have one direction, for each cell, -1 to 1.
+    """How well the edges of two pictures ``(h, w)`` agree in direction: for each cell, -1 to 1.
 
-    It does not matter which side of an edge is the brighter one. Where edges are across each other,
-    it is negative, so that those of two views add up to nothing; where a picture has no edge, or
-    one that is weak for the contrast around it, it is 0.
+    Either side of an edge may be the brighter one. The agreement of edges that cross each other is
+    negative, so over the edges of two different views it averages to about 0. It is 0 where a
+    picture has no edge, or an edge that is weak for the contrast around it.
     """
     before, now = _gradients(usual), _gradients(grey)
     strength, left_of_it = np.abs(before), np.abs(now)

@@ -1,4 +1,4 @@
-"""Zones of a camera's picture: those that a person is in, enters and leaves."""
+"""Zones of a camera's picture: which zones a person is in, enters and leaves."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -23,7 +23,7 @@ ZoneKind = Literal["rest", "watch"]
 class Zone:
     """A part of a camera's picture."""
 
-    # Name and kind are as the caller chose them.
+    # The caller chooses name and kind.
     name: str
     kind: ZoneKind
     # (P, 2): its corners in order, in pixels of the frame; it may reach beyond the frame.
@@ -85,7 +85,7 @@ def place(box: Box, posture: PostureName | None) -> NDArray[np.float64]:
 
 
 def zones_of(zones: Iterable[Zone], box: Box, posture: PostureName | None) -> tuple[Zone, ...]:
-    """The zones in which a person is, in the order given."""
+    """The zones that a person is in, in the order given."""
     point = place(box, posture)
     return tuple(zone for zone in zones if contains(zone.polygon, point))
 
@@ -97,10 +97,10 @@ def is_rest(zones: Iterable[Zone]) -> bool:
 
 @dataclass
 class _Stay:
-    """A person in a zone since a time, or about to be; all times in seconds.
+    """The stay of a person who is in a zone or about to enter it; all times in seconds.
 
-    They have entered once they have been inside for long enough. ``outside_since`` is when they
-    were first seen outside again, None while inside.
+    The person has entered the zone after being inside for long enough. ``outside_since`` is when
+    the person was first seen outside again; None while inside.
     """
 
     since: float
@@ -108,7 +108,7 @@ class _Stay:
     outside_since: float | None = None
 
 
-# Distance outside, in sizes of the person, up to which a person who has entered stays in the zone:
+# After entering, a person stays in the zone up to this distance outside, in sizes of the person:
 # feet at a border move by some hundredths of a body from frame to frame.
 _MARGIN = 0.1
 SETTLING_S = 0.5
@@ -116,7 +116,7 @@ SETTLING_S = 0.5
 
 
 class ZoneWatch:
-    """Watches in which zones a person stays.
+    """Watches which zones a person is in.
 
     A person enters a zone by staying inside its polygon for a while, and leaves it by staying
     outside by a margin for a while. In between, nothing changes.
@@ -128,7 +128,7 @@ class ZoneWatch:
         self._stays: dict[str, _Stay] = {}
 
     def locate(self, zones: Iterable[Zone], box: Box, posture: PostureName | None) -> None:
-        """Set the zones in which a person is."""
+        """Set the zones that the person is in."""
         self.zones = zones_of(zones, box, posture)
 
     def update(
@@ -139,7 +139,7 @@ class ZoneWatch:
         box: Box,
         posture: PostureName | None,
     ) -> list[Event]:
-        """Add where the person is; return the zones that they have entered and left.
+        """Add the person's place; return the zones entered and left.
 
         A zone that has been removed from the camera is left as well.
         """
