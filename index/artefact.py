@@ -1,8 +1,8 @@
 """The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it.
 
-Beside the index may lie a network that re-ranks hypotheses: ``reranking.npz`` holds its weights,
-``reranking.json`` their SHA-256 and the constants fitted to it, and ``postures.npz`` what reads
-postures from this very network. Without it, hypotheses are ordered by distance alone.
+The folder may also hold a network that re-ranks hypotheses. ``reranking.npz`` holds its weights,
+``reranking.json`` their SHA-256 and the constants fitted to it, and ``postures.npz`` the network
+that reads postures from its hidden layer. Without it, hypotheses are ordered by distance alone.
 """
 
 import hashlib
@@ -141,7 +141,7 @@ def load_reranker(folder: Path) -> RankingModel | None:
 
 
 def _load_postures(file: Path, network_sha256: str) -> PostureNetwork | None:
-    """Read what estimates postures beside a network; None if there is nothing."""
+    """Read the posture network beside a re-ranking network; None if there is none."""
     if not file.exists():
         return None
     with np.load(file, allow_pickle=False) as stored:

@@ -42,7 +42,7 @@ _NEARLY_SQUARE = 0.75
 
 
 def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tuple[float, ...]:
-    """Rotations in degrees that a silhouette ``(128, 48)`` by itself suggests.
+    """Rotations in degrees that a silhouette ``(128, 48)`` suggests on its own.
 
     The roll of its camera is not 0 if the silhouette was rotated upright.
     """
@@ -122,8 +122,8 @@ def find_candidates(
     """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
 
     ``nearest`` are entries near the landmarks; each is compared with the rotation nearest to its
-    own. With a ``k`` of 0, only these are wanted. Each candidate is listed once, the nearest first,
-    its skeleton rotated to fit the query.
+    own. With a ``k`` of 0, only these are returned. Each candidate is listed once, nearest first,
+    with its skeleton rotated to fit the query.
     """
     vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
     found = []
@@ -148,7 +148,7 @@ def _nearest_entries(
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Rows of the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
 
-    Also returns whether each was found as its mirror image, and the descriptor to which it is near.
+    Also returns whether each was found as its mirror image, and the descriptor that it is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     _, entry_ids, nearest_variant = index.search(variants, k)

@@ -59,7 +59,7 @@ RERANKING_FEATURES = (
 """
 
 RIGHT_BELOW_PX = 5.0
-"""A hypothesis is right if its mean joint error in the 128x48 frame is below this."""
+"""Mean joint error in the 128x48 frame below which a hypothesis counts as right."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def fused_confidences(
 
 
 def fused_agreement(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log likelihoods ``(N,)`` that distances from silhouette and landmarks stand for."""
+    """Log likelihoods ``(N,)`` of hypotheses, from distances by silhouette and landmarks."""
     return -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
 
 

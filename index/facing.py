@@ -1,4 +1,4 @@
-"""Which way skeletons face, and hypotheses that face either way.
+"""The facing of skeletons, and a choice of hypotheses that face both ways.
 
 A silhouette fits a pose and its reflection in depth equally well, and landmarks may be wrong in
 depth.
@@ -53,8 +53,8 @@ def heading_shares(
     """Share ``(N,)`` of the voters' confidence that lies within a right angle of each heading.
 
     Seen from the side, a body turned slightly towards the camera and one turned slightly away
-    agree; seen from the front, a body and its reflection in depth do not. The voters are the
-    hypotheses that decide: azimuths and confidences ``(M,)``.
+    agree; seen from the front, a body and its reflection in depth do not. The voters are given by
+    the azimuths and confidences ``(M,)`` of the hypotheses that decide.
     """
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
     agree = faces_camera(azimuths_deg[:, None] - voters_deg)
@@ -73,8 +73,8 @@ def nearest_of_both_facings(
     probability of that facing. It is at least one in :data:`HYPOTHESES_PER_OPPOSITE_FACING`,
     however far these hypotheses are, as long as there are any.
 
-    For each hypothesis to choose, ``pools`` has the number of leading rows among which it is
-    chosen; they ascend, and are enough for a choice.
+    For each hypothesis to choose, ``pools`` has the number of leading rows to choose from. The
+    numbers ascend, and each leaves at least one row to choose.
     """
     order: list[int] = np.argsort(distances, kind="stable").tolist()
     front = faces_camera(azimuths_deg)

@@ -1,8 +1,8 @@
 """From a silhouette and landmarks to distinct poses in the order of their rank.
 
 The entries nearest to the landmarks are candidates as well as those nearest to the silhouette.
-Candidates are weighted by their agreement with the landmarks, modes are fitted to them, and the
-best is also returned at other depths. Both facings are among the hypotheses.
+Candidates are weighted by their agreement with the landmarks, and modes are fitted to the
+landmarks. The best mode is also returned at other depths. Hypotheses include both facings.
 """
 
 import math
@@ -88,7 +88,7 @@ def match_landmarks(
     best = [1] + [weighted] * (min(DEFAULT_HYPOTHESES, weighted) - 1)
     pools[: len(best)] = best
     azimuths = headings(found)
-    # A skeleton cannot be likelier right than its heading.
+    # A skeleton is at most as likely to be right as its heading.
     shares = heading_shares(azimuths, voters_deg, votes)
     confidences = np.minimum([one.confidence for one in found], shares).tolist()
     distances = np.array([one.distance for one in found])
@@ -122,14 +122,14 @@ def _weighted(
     alternatives: Sequence[PoseHypothesis],
     front_probability: float,
 ) -> tuple[list[PoseHypothesis], int]:
-    """Weigh what is found with landmarks: the best mode, its alternatives, those that face away.
+    """Weigh the best mode, its alternatives, and the modes that face the opposite way.
 
     Returns
     -------
     hypotheses : list of PoseHypothesis
-        In this order; other modes follow, of weight 0, if they differ from all of these.
+        In this order; modes that differ from all of these follow with weight 0.
     weighted : int
-        Number of those before.
+        Number of hypotheses before those with weight 0.
     """
     front = faces_camera(headings(modes))
     same = front == front[0]
@@ -167,10 +167,10 @@ class _LandmarkQuery(Query):
         return self.hypotheses(candidates, modes, distance=distances, confidence=confidence)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
-        """Find the first hypotheses, and the best of them at other depths, each nearest first."""
+        """Find the first hypotheses, and the best one at other depths; both nearest first."""
         candidates, agreement, modes = self._modes(DEFAULT_HYPOTHESES)
         modes, distances = self._fitted(candidates, modes)
-        # One hypothesis is as it was found, one faces the opposite way.
+        # Of the hypotheses, one is the mode as found, and one faces the opposite way.
         depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
         others = Modes(
             depths.rows,
@@ -259,7 +259,7 @@ def _confidences(
     return fused_confidences(distances, adjusted_m)
 
 
-# Landmarks whose trunk is tilted by less are searched only as they are.
+# Tilt of the trunk below which landmarks are searched only as they are.
 _MAX_UPRIGHT_TRUNK_DEG = 12.0
 
 

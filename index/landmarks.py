@@ -1,4 +1,4 @@
-"""Landmarks of a person: how well skeletons agree with them, and skeletons fitted to them.
+"""Landmarks of a person: agreement of skeletons with them, and the fit of skeletons to them.
 
 The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
 restores the bone lengths. In the picture it goes from coarse to fine, so that it also reaches limbs
@@ -31,8 +31,8 @@ from index.skeleton import (
 
 # Standard deviation of a point about its landmark in the picture, and in three dimensions.
 _SIGMA_PX, _SIGMA_M = 8.0, 0.15
-# Weight of the landmarks in three dimensions beside their places in the picture, which are more
-# certain.
+# Weight of the landmarks in three dimensions relative to their places in the picture, which are
+# more certain.
 _LIMB_WEIGHT = 0.25
 
 OUTLIER_WEIGHT = 0.05

@@ -1,8 +1,8 @@
-"""What matching with and without landmarks share: hypotheses, the query, and batches of them.
+"""Parts shared by matching with and without landmarks: query, hypotheses, and their batches.
 
-Entries near the query are candidates; poses at which they gather are modes; hypotheses are modes in
-the order of their distances, with a confidence. :mod:`index.silhouette_matching` finds them from a
-silhouette alone, :mod:`index.landmark_matching` from a silhouette and landmarks.
+Entries near the query are candidates. Modes are poses at which candidates gather. Hypotheses are
+modes in the order of their distances, with a confidence. :mod:`index.silhouette_matching` finds
+them from a silhouette alone, :mod:`index.landmark_matching` from a silhouette and landmarks.
 """
 
 import math
@@ -29,16 +29,16 @@ from index.skeleton import POINTS, mean_joint_distance, rotate_clockwise, wrap_d
 from index.store import PoseIndex
 
 DEFAULT_HYPOTHESES = 7
-"""Hypotheses returned unless a caller asks for another number; the confidence is fitted for them,
-and this many decide posture and facing however many are requested. They are the first batch; the
-next one is twice as large, and so on, so that the first k of n are those found when k are
-requested."""
+"""Hypotheses returned unless a caller asks for another number. The confidence is fitted for this
+number, and this many decide posture and facing however many are requested. They are the first
+batch; each later batch is twice as large, so that the first k of n hypotheses are those found when
+k are requested."""
 
 MIN_NEW_POSE_M = 0.055
 """Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
 
 # If a batch of this many times the number requested adds nothing, it is the last: few distinct
-# poses may fit a person who is hardly seen, and looking for 50 took seconds.
+# poses may fit a hardly visible person, and a search for 50 took seconds.
 _MAX_BATCH_GROWTH = 4
 
 SPARE_MODES = 4
@@ -93,10 +93,10 @@ class PoseHypothesis:
         Mean distance between the outlines of the query and of the entry, averaged both ways, in
         pixels of the normalised frame; not a number where it is not asked for.
     twin : bool
-        Whether this is the first hypothesis from behind: depth reversed, left and right exchanged.
-        Its outline is the same; all that is said of the entry holds for the first hypothesis.
+        Whether this is the first hypothesis seen from behind: depth reversed, left and right
+        exchanged. Its outline is the same; all fields about the entry are the first hypothesis's.
     features : (F,) float64 array
-        What the confidence follows from without landmarks: :data:`index.confidence.FEATURES`, or
+        Input of the confidence without landmarks: :data:`index.confidence.FEATURES`, or
         :data:`index.confidence.RERANKING_FEATURES`; none with landmarks.
     """
 
@@ -133,12 +133,14 @@ class Match:
     hypotheses : list of PoseHypothesis
         With ascending distances. The first ``k`` do not depend on how many were requested. At least
         :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit. With landmarks, some face
-        the opposite way to the first, and a nearer one after such a hypothesis gets its distance.
+        the opposite way to the first; a nearer hypothesis that follows such a hypothesis gets the
+        distance of that hypothesis.
     front_probability : float
         Probability that the camera sees the person from the front: the confidence of voters that
         face it, as a share of the confidence of all. It does not depend on how many were requested.
     voters : list of PoseHypothesis
-        Those that decide the posture, likewise: modes, but no alternatives in depth and no twin.
+        The hypotheses that decide the posture, however many were requested: modes, but no
+        alternatives in depth and no twin.
     postures : (10,) float64 array
         Share of each of :data:`index.posture.POSTURES`: in the votes of the voters, weighted by
         confidence; of a silhouette alone, if there is a network, their probabilities.
@@ -257,7 +259,7 @@ def with_later_batches(
 def unlike(
     others: Sequence[PoseHypothesis], known: Sequence[PoseHypothesis]
 ) -> list[PoseHypothesis]:
-    """Those of the others that are new poses, unlike all that are known."""
+    """The hypotheses among ``others`` that are new poses, unlike all known ones."""
     if not others:
         return []
     poses, earlier = (np.array([one.points_3d for one in some]) for some in (others, known))

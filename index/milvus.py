@@ -1,10 +1,11 @@
 """The vectors of an index in Milvus, which searches them exactly, as this process would.
 
-A collection holds the vectors of the version of an index that its name says. Everything else stays
-in the artefact, because re-ranking reads hundreds of skeletons and silhouettes for each person. An
-alias names the collection to search; :mod:`scripts.publish` moves it, only to a complete one.
+A collection holds the vectors of one version of an index; its name has the version. Everything else
+stays in the artefact, because re-ranking reads hundreds of skeletons and silhouettes for each
+person. An alias names the collection to search; :mod:`scripts.publish` moves the alias, only to a
+complete collection.
 
-Only what needs Milvus imports this module: pymilvus takes a second and 60 MB.
+Only code that needs Milvus imports this module: pymilvus takes a second and 60 MB.
 """
 
 import logging
@@ -37,7 +38,7 @@ _SAME = 1e-4  # Squared distances of equal vectors stay below.
 
 @contextmanager
 def milvus_errors() -> Iterator[None]:
-    """Raise :class:`UnavailableError` for whatever Milvus and gRPC raise."""
+    """Raise :class:`UnavailableError` for all errors of Milvus and gRPC."""
     try:
         yield
     except MilvusException as error:

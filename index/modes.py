@@ -5,9 +5,9 @@ density in pose space are taken greedily, densest first. Each mode is then inter
 by locally weighted linear regression [1]_ of the pose on the descriptor. This gives a pose between
 the entries, and the distance that remains between the query and the mode.
 
-With landmarks, the depths of the limbs are what is uncertain. Depths that the candidates have and
-the errors of the landmarks allow are their posterior, from which :func:`depth_modes` selects a few
-that are near to most of it.
+With landmarks, the depths of the limbs remain uncertain. The depths of the candidates and the
+errors of the landmarks give a posterior of these depths. :func:`depth_modes` selects a few depths
+that are near to most of the posterior.
 
 References
 ----------
@@ -38,8 +38,8 @@ BANDWIDTH_M = 0.08
 
 # Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
 _SUPPRESSION = 1.5
-# Fall-off of the candidates' weights with distance if landmarks, which distinguish near candidates
-# better than descriptors do, are their other factor; see :func:`candidate_weights`.
+# Fall-off of the candidates' weights with distance if landmarks are the other factor of the
+# weights: they distinguish near candidates better than descriptors; see :func:`candidate_weights`.
 _FALL_OFF_WITH_LANDMARKS = 0.6
 # Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
 # otherwise an entry that equals the query would outweigh all others.
@@ -149,7 +149,7 @@ def find_modes(
 
 # Standard deviation of a limb's depth about that of an entry of the same pose.
 _ENTRY_DEPTH_SD_M = 0.2
-# Exponent of the candidates' weights, which count part of what the depths say already.
+# Exponent of the candidates' weights, since these include part of the evidence of the depths.
 _ENTRY_EXPONENT = 0.3
 # Error of a limb across the line of sight: nearer skeletons do not differ.
 _ACROSS_M = 0.05
@@ -188,7 +188,8 @@ def depth_modes(
 
     The posterior of the depths is a mixture with a normal distribution for each candidate: the
     product of the errors of the landmarks and a normal distribution about the candidate. The
-    alternatives are those from which, and from the landmarks, the truth is expected least far.
+    alternatives minimise the expected distance from the truth to the nearest of them and of the
+    landmarks' own depths.
 
     Parameters
     ----------
@@ -224,7 +225,7 @@ def depth_modes(
 def spread_modes(
     truths: NDArray[np.float64], shares: NDArray[np.float64], count: int
 ) -> NDArray[np.float64]:
-    """Zero, and ``count`` more offsets ``(12,)`` near to most of the truths ``(K, 12)``.
+    """Zero, and ``count`` more offsets ``(12,)`` near to most of the likely truths ``(K, 12)``.
 
     They are chosen greedily among the truths, then moved to the means of their cells as in Lloyd's
     algorithm; zero stays.

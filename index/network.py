@@ -195,7 +195,7 @@ class Distributions:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the network makes of a silhouette, the mean of it and of its mirror image."""
+    """The network's result for a silhouette: the mean of those for it and its mirror image."""
 
     joints: Distributions
     hidden: Array  # (512,): whole numbers from 0 to 127, the values of the hidden layer

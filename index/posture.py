@@ -28,10 +28,10 @@ ON_THE_GROUND: tuple[PostureName, ...] = ("lying", "crawling")
 """Postures in which the trunk rests on the ground or on a bed, or is carried on all fours."""
 
 LOW: tuple[PostureName, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
-"""Postures of a person who does not stand on straight legs."""
+"""Postures without straight legs to stand on."""
 
 MIN_WALKING_SPEED_M_S, MIN_RUNNING_SPEED_M_S = 0.5, 2.2
-"""Least horizontal speeds of people who walk and run."""
+"""Least horizontal speeds of walking and of running people."""
 
 # Steepest elevation of a camera.
 _MAX_ELEVATION_DEG = 70.0
@@ -43,7 +43,7 @@ _MAX_LYING_HEIGHT = 0.5
 _MAX_HAND_HEIGHT = 0.3
 # Largest height of the pelvis of a person on all fours.
 _MAX_CRAWLING_HEIGHT = 0.85
-# Height of the pelvis below which the legs are not standing.
+# Height of the pelvis below which a person is not standing.
 _MAX_LOWERED_HEIGHT = 0.8
 # Largest height of a pelvis that rests on the floor.
 _MAX_FLOOR_HEIGHT = 0.3
@@ -51,14 +51,14 @@ _MAX_FLOOR_HEIGHT = 0.3
 _MAX_KNEE_HEIGHT = 0.12
 # Largest height of a knee on the floor above or below its ankle: toes may be tucked in.
 _MAX_SHANK_RISE = 0.35
-# Least height of the pelvis of a person on the knees, who may rest on the heels.
+# Least height of the pelvis of a kneeling person, who may rest on the heels.
 _MIN_KNEELING_HEIGHT = 0.2
 # Horizontal distance of the centre of mass from the feet beyond which something else carries the
 # body.
 _MIN_UNSUPPORTED = 0.15
 # A person whose thighs are level on average, with neither one steep and the pelvis at the height of
 # a seat, sits even if the feet could carry the body: the trunk is upright or both shanks are steep.
-# People who squat lean the shanks forward to keep the balance.
+# Squatting people lean the shanks forward to keep the balance.
 _MAX_LEVEL_THIGH_DEG, _MAX_STEEP_THIGH_DEG, _MIN_SEAT_HEIGHT = 25.0, 50.0, 0.5
 _MAX_SEATED_TRUNK_DEG, _MIN_SEATED_SHANK_DEG = 20.0, 55.0
 # Least tilt of a trunk that is bent over standing legs, and over lowered legs.

@@ -1,7 +1,7 @@
 """The order of the hypotheses of a silhouette, and their confidence.
 
 An index orders them by their distances alone, or with a network that predicts joints from the
-silhouette. The network itself is in :mod:`index.network`, its file in :mod:`index.artefact`.
+silhouette. :mod:`index.network` is the network; :mod:`index.artefact` reads its file.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class DistanceRanking:
         return np.ones(len(candidates))
 
     def fit(self, modes: Modes) -> Modes:
-        """Move modes towards what else is known of the joints."""
+        """Move modes towards other evidence about the joints."""
         return modes
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:

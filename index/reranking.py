@@ -1,4 +1,4 @@
-"""The network beside an index and what belongs to it; :mod:`index.artefact` reads its files."""
+"""The re-ranking network of an index, and its constants; :mod:`index.artefact` reads the files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from index.silhouette_posture import PostureNetwork
 
 @dataclass(frozen=True)
 class RankingModel:
-    """The joint network, the confidence fitted with it, and what reads postures from it."""
+    """The joint network, the confidence fitted with it, and the network of postures."""
 
     network: JointNetwork
     calibration: Calibration  # over :data:`index.confidence.RERANKING_FEATURES`

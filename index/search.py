@@ -1,7 +1,7 @@
 """Exact nearest-neighbour search: by descriptor, and by landmarks in three dimensions.
 
-A silhouette does not show what lies inside its outline, and landmarks do not show the outline: each
-search finds entries that the other misses.
+A silhouette does not show the limbs inside its outline, and landmarks do not show the outline. Each
+search therefore finds entries that the other misses.
 """
 
 from collections.abc import Iterator, Sequence

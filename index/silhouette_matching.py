@@ -1,7 +1,7 @@
 """From a silhouette alone to distinct poses in the order of their rank.
 
-Modes of the entries nearest to the silhouette are ordered by their distances and, where the index
-has a network, by how likely it finds their joints; the confidence is calibrated.
+Modes of the entries nearest to the silhouette are ordered by their distances. If the index has a
+network, the likelihood that it gives to their joints counts as well. The confidence is calibrated.
 """
 
 from dataclasses import replace
@@ -60,7 +60,7 @@ class _SilhouetteQuery(Query):
 
     @cached_property
     def ranking(self) -> DistanceRanking:
-        """By the network, if there is one."""
+        """The ranking: by the network if there is one."""
         if self.index.reranker is None:
             return DistanceRanking(self.index.calibration)
         return NetworkRanking.of(self.index.reranker, self.silhouette)
@@ -70,10 +70,10 @@ class _SilhouetteQuery(Query):
         return self._at_modes(*self._modes(n), at_least)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
-        """Find the first hypotheses, and those of them that are returned.
+        """Find the first hypotheses, and the hypotheses to return.
 
-        An outline cannot exclude the best pose as seen from behind: unless another is as near to it
-        as a right one, it takes the place of the last.
+        An outline cannot exclude the best pose seen from behind, its twin. The twin takes the place
+        of the last hypothesis, unless another one is as near to it as a right one would be.
         """
         candidates, modes, distances = self._modes(DEFAULT_HYPOTHESES)
         voters = self._at_modes(candidates, modes, distances)[:DEFAULT_HYPOTHESES]
@@ -131,7 +131,7 @@ class _SilhouetteQuery(Query):
     def _modes(self, n: int) -> tuple[Candidates, Modes, NDArray[np.float64]]:
         """About ``n`` modes, nearest first, with their distances, and their candidates.
 
-        There are more and more candidates until they have ``n`` modes or the index has no more.
+        The number of candidates grows until they have ``n`` modes or the index has no more entries.
         """
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
@@ -180,8 +180,8 @@ def _features(
 def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
 
-    The share of candidates that agree with a hypothesis is a better predictor of its being right
-    than the fit of the hypothesis itself.
+    The share of candidates that agree with a hypothesis predicts better than its own fit whether
+    the hypothesis is right.
     """
     mode_joints = modes.points_normalised[:, :JOINTS]
     joints = candidates.points_normalised[:, :JOINTS]

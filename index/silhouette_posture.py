@@ -1,9 +1,9 @@
 """The posture of a person, from the silhouette alone.
 
-Hypotheses are near the silhouette in the picture, but people who squat, kneel or sit look alike
-there, and few of the index do. A small network reads the posture from the hidden layer of the joint
-network, which has looked at the silhouette anyway; the votes of the hypotheses are added to its
-logits. Sums are exact, as in :mod:`index.network`.
+Hypotheses are near the silhouette in the picture, but squatting, kneeling and sitting people look
+alike there, and few entries of the index have these postures. A small network therefore reads the
+posture from the hidden layer of the joint network, which has processed the silhouette already. The
+votes of the hypotheses are added to its logits. Sums are exact, as in :mod:`index.network`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from index.posture import POSTURES, UPRIGHT, PostureName
 KINDS: tuple[tuple[PostureName, ...], ...] = (
     UPRIGHT, ("bending",), ("crouching",), ("kneeling",), ("sitting",), ("crawling",), ("lying",),
 )  # fmt: skip
-"""What a silhouette distinguishes; votes alone divide those who are upright."""
+"""Postures that a silhouette distinguishes; only votes split the upright ones."""
 
 KIND_OF = np.array([[p in kind for kind in KINDS].index(True) for p in POSTURES])
 """Position ``(10,)`` in :data:`KINDS` of each of ``POSTURES``."""
@@ -35,8 +35,8 @@ MIN_VOTE = 0.01
 def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Array:
     """Inputs ``(..., 514)``, whole numbers, from values of the hidden layer ``(..., 512)``.
 
-    Whether a silhouette was wide and therefore rotated upright, and how far, distinguishes people
-    who lie from people who stand.
+    They include whether a wide silhouette was rotated upright, and how far: this distinguishes
+    lying from standing people.
     """
     rolls_deg = np.abs(np.asarray(roll_deg, np.float32))
     rolls_deg = np.minimum(rolls_deg, 180 - rolls_deg)

@@ -189,7 +189,7 @@ def exchange_sides(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reversed_in_depth(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Skeletons ``(..., 24, 3)`` in camera axes that cast the same outline from behind.
+    """The twins of skeletons ``(..., 24, 3)`` in camera axes, with the same outline from behind.
 
     Depths change their sign, and left and right are exchanged, as in a body turned round.
     """

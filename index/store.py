@@ -51,10 +51,11 @@ _SKELETONS_PER_BLOCK = 8192
 class Label:
     """The source of an entry: motion, avatar and camera.
 
-    The action is the motion's label, the clip its name, ``frame`` that of the BVH file, from 0, and
-    the subject the name of the avatar. ``mirrored`` is whether left and right are exchanged, in the
-    pose and in the camera: each entry also represents its mirror image. The camera's direction is
-    as in :func:`index.skeleton.camera_rotation`, its distance that to the pelvis.
+    The action is the label of the motion, the clip its name, ``frame`` the frame of the BVH file,
+    from 0, and the subject the name of the avatar. ``mirrored`` says whether left and right are
+    exchanged, in the pose and in the camera: each entry also represents its mirror image. The
+    camera's direction is as in :func:`index.skeleton.camera_rotation`; its distance is measured to
+    the pelvis.
     """
 
     entry_id: int
@@ -178,7 +179,7 @@ class PoseIndex:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Skeletons of entries ``(B,)``: ``(B, P, 3)`` in metres, and ``(B, P, 2)``.
 
-        The former are in camera axes about the pelvis, the latter in pixels of the normalised
+        The 3D points are in camera axes about the pelvis, the 2D points in pixels of the normalised
         frame.
         """
         entries = self.entries[entry_ids]

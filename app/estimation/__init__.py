@@ -1,1 +1,4 @@
-"""An upload to people, and people to poses and postures. Imports vision, index and below."""
+"""From an upload to people, and from people to poses and postures.
+
+Imports vision, index and below.
+"""

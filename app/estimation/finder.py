@@ -1,4 +1,4 @@
-"""Finds the people of a frame and observes each: silhouette, landmarks and what these show."""
+"""Finds the people of a frame and observes each: silhouette, landmarks, depth and posture."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -26,7 +26,7 @@ from app.vision.truncation import attenuate_visibility_at_border, end_beyond_bor
 
 @dataclass(frozen=True)
 class Models:
-    """What people are found, read and judged with."""
+    """The models that find, read and judge people."""
 
     detector: NetworkDetector
     reader: PersonReader
@@ -40,11 +40,11 @@ class Target:
     Parameters
     ----------
     found : Detection
-        As detected; of others, the box in which they are marked or expected.
+        As detected; for marked or tracked people, the box in which they are expected.
     expected : PersonWindow or PoseReading or None
         Window in which a track expects the person, or the reading in it.
     followed : bool
-        Whether only a track shows that the person is there.
+        Whether only a track, and no detection, places the person there.
     """
 
     found: Detection
@@ -52,7 +52,7 @@ class Target:
     followed: bool = False
 
     def box_of(self, reading: PoseReading | None) -> Box:
-        """The person's box; of a person who is only followed, about the landmarks."""
+        """The person's box; for a person who is only followed, the box about the landmarks."""
         if self.followed and reading is not None:
             return reading.landmarks.box().grown(_BODY_MARGIN)
         return self.found.box
@@ -60,9 +60,9 @@ class Target:
 
 @dataclass(frozen=True)
 class _Body:
-    """A body to observe: its target, the reading that shows it best, and how that is judged.
+    """A body to observe: its target, the best reading of it, and the judgement of this reading.
 
-    ``beside`` says that it was read while others were painted over.
+    ``beside`` says that the body was read while others were painted over.
     """
 
     target: Target
@@ -78,12 +78,12 @@ class _Body:
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 
 _MARKED: tuple[Source, ...] = ("boxes", "mask")
-"""Sources in which the caller says who is a person."""
+"""Sources in which the caller marks the people."""
 
-# Share of those perhaps beside others who are people if a reading beside these shows a body, in
-# rendered groups.
+# Share of the possible people beside others that are people if a reading beside these shows a body,
+# in rendered groups.
 _READ_BESIDE_SCORE = 0.8
-# Share of a job's time in which people are read: masks and poses of these take as long again.
+# Share of a job's time in which people are read: their masks and poses take as long again.
 _READ_UNTIL = 0.4
 # Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
 # and toes.
@@ -94,8 +94,8 @@ _BODY_MARGIN = 0.1
 class PeopleFinder:
     """Finds people with the detector, or where the caller marks them.
 
-    People at least ``min_person_px`` high are found with a background, and at most ``max_persons``,
-    those with the highest scores.
+    With a background, people must be at least ``min_person_px`` high. At most ``max_persons``
+    people are found, those with the highest scores.
     """
 
     models: Models
@@ -122,9 +122,9 @@ class PeopleFinder:
     def _found(
         self, upload: DecodedUpload, job: Job
     ) -> tuple[Source, list[Detection], list[Detection], Cut | None]:
-        """Who says where people are; these, and those perhaps beside them; how to cut them out.
+        """The source, the people, the possible people beside them, and how to cut them out.
 
-        By default, the masks of their readings do.
+        By default, the masks of their readings cut them out.
         """
         frame = upload.frame
         if upload.mask is not None:
@@ -148,7 +148,7 @@ class PeopleFinder:
         return "background", found, [], cut
 
     def _most(self, found: list[Detection], job: Job) -> list[Detection]:
-        """Those with the highest scores; the job counts the others."""
+        """The people with the highest scores; the job counts the others."""
         job.left_out += max(0, len(found) - self.max_persons)
         return found[: self.max_persons]
 
@@ -159,10 +159,10 @@ class PeopleFinder:
         lost: Sequence[Box] = (),
         known: Sequence[Box] = (),
     ) -> tuple[list[Detection], list[Detection]]:
-        """Detect the people of a whole frame, and those perhaps beside them; best first.
+        """Detect the people of a whole frame, and possible people beside them; best first.
 
-        ``lost`` are boxes of people who were there a moment ago and were not seen to leave,
-        ``known`` those of people who are followed.
+        ``lost`` are boxes of people who were visible a moment ago and did not leave the frame,
+        ``known`` the boxes of tracked people.
         """
         with job.stage("detect"):
             people, beside = self.models.detector.detect(frame, lost, known)
@@ -174,7 +174,7 @@ class PeopleFinder:
     ) -> list[PoseReading | None]:
         """Read landmarks of people, without their masks.
 
-        None stands where a track's window shows nobody any more, and for those left out.
+        None stands for a track's window that no longer shows a person, and for targets left out.
         """
         reader = self.models.reader
 
@@ -206,9 +206,9 @@ class PeopleFinder:
         Parameters
         ----------
         source : str
-            Who found the people. Those whom the caller marked stay, whatever is seen of them.
+            How the people were found. People marked by the caller stay, whatever is visible.
         perhaps_beside : sequence of Detection
-            They count if readings beside the bodies of the targets show other bodies.
+            Possible people; they count if readings beside the targets' bodies show other bodies.
         landmarks : bool
             Whether landmarks are wanted; otherwise they only separate people.
         cut : callable, optional
@@ -220,10 +220,10 @@ class PeopleFinder:
         Returns
         -------
         people : list of Person
-            One for each body that is seen.
+            One for each visible body.
         shown : list of int or None
-            For each target, the position of the person whom it shows; None if it shows nobody, or a
-            track's window shows whom that of a nearer track shows.
+            For each target, the position of the person that it shows. None if it shows no person,
+            or if a track's window shows the person of a nearer track.
         """
         marked = source in _MARKED
         shows: list[int | None] = [*range(len(targets))]
@@ -255,13 +255,13 @@ class PeopleFinder:
         perhaps_beside: Sequence[Detection],
         job: Job,
     ) -> tuple[list[_Body], list[int | None]]:
-        """The bodies that targets show, each once; for each target, the position of its body."""
+        """The bodies of the targets, each once, and for each target the position of its body."""
         readings = self.read(frame, targets, job)
         best = best_shown_by(targets, readings)
         kept = [row for row in range(len(targets)) if best.get(row) == row]
         bodies = [_Body(targets[row], readings[row]) for row in kept]
         shows = [kept.index(best[row]) if row in best else None for row in range(len(targets))]
-        # Two detections whose readings show one body may be of two people all the same.
+        # Two detections with readings of the same body may still be two people.
         hidden = [targets[row] for row in best if row not in kept and not targets[row].followed]
         hidden += [
             Target(replace(one, score=max(one.score, _READ_BESIDE_SCORE))) for one in perhaps_beside
@@ -271,9 +271,9 @@ class PeopleFinder:
     def _read_beside(
         self, frame: NDArray[np.uint8], hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
     ) -> list[_Body]:
-        """Bodies of detections that readings show beside others, if these are new.
+        """New bodies that detections show when they are read beside known bodies.
 
-        The network looks at the person who is most apparent in a window. MoveNet's keypoints of the
+        The network reads the most prominent person in a window. MoveNet's keypoints of the
         detection show whether there is another one.
         """
         known = [body.reading for body in bodies if body.reading]
@@ -291,7 +291,7 @@ class PeopleFinder:
         return found
 
     def _look(self, body: _Body, *, masked: bool, camera: PinholeCamera) -> _Body:
-        """A body whose reading is judged, and has its mask if that is wanted."""
+        """A body with its reading judged, and with the mask if it is wanted."""
         reading = body.reading
         if reading is None:
             return body
@@ -305,7 +305,7 @@ class PeopleFinder:
     def _with_reading(
         self, person: Person, body: _Body, upload: DecodedUpload, *, landmarks: bool
     ) -> Person:
-        """Add whether the reading shows that the body is truncated, and landmarks if wanted."""
+        """Add whether the body is truncated according to the reading, and landmarks if wanted."""
         reading, judged = body.reading, body.judged
         if reading is None:
             return person
@@ -341,7 +341,7 @@ def _by_masks(
 
 
 def _person(body: _Body, silhouette: Silhouette | None, source: Source, *, tight: bool) -> Person:
-    """The person of a body before what its reading shows is added."""
+    """The person of a body, without the results of its reading."""
     box, reading = body.box, body.reading
     if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
         box = silhouette.box
@@ -354,9 +354,9 @@ def best_shown_by(
 ) -> dict[int, int]:
     """For each row with a reading, the row whose reading of the same body is kept.
 
-    A detection's is kept rather than a track's; of two detections, the one whose keypoints fit the
-    reading better; of two tracks, the one whose box is nearer to the body. The other track shows
-    nobody.
+    A detection is kept rather than a track; of two detections, the one with keypoints that fit the
+    reading better; of two tracks, the one with the box nearer to the body. The other track then
+    shows no person.
     """
     read = {row: reading for row, reading in enumerate(readings) if reading is not None}
 

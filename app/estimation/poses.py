@@ -23,8 +23,8 @@ from descriptor.silhouette import is_wide, normalise, principal_axis_deg, rotate
 from index.landmarks import SIZE_RANGE, NormalisedLandmarks
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
 
-# Points of the index and their landmarks. The eyes and ears of the index are in other places, so
-# they are left out.
+# Points of the index and their landmarks. Eyes and ears are left out, since the index places them
+# differently.
 _LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
     f"{side}_toe": f"{side}_foot_index" for side in SIDES
 }
@@ -35,10 +35,10 @@ _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 # Visibility above which a landmark is used for matching.
 _MIN_VISIBILITY = 0.05
-# With fewer landmarks a person is matched by the silhouette alone.
+# With fewer landmarks, a person is matched by the silhouette alone.
 _MIN_LANDMARKS = 4
-# Visibility of the more visible ankle, and of the most visible point of the head, of a person seen
-# whole.
+# Least visibility of the more visible ankle, and of the most visible point of the head, for a
+# person visible from head to feet.
 _MIN_FEET_VISIBILITY, _MIN_HEAD_VISIBILITY = 0.35, 0.2
 
 
@@ -145,10 +145,10 @@ def place_skeletons(
 ) -> PlacedSkeletons:
     """Place the hypotheses of a person in front of a camera.
 
-    The first is moved towards the landmarks' depths, less so where these are uncertain, and so are
-    those that differ from it in depth alone, by as much. The others keep their own depths: they are
-    other interpretations of the image. Without landmarks, skeletons
-    stay in the axes of the line of sight unless the field of view is known.
+    The first hypothesis is moved towards the landmarks' depths, less so where these are uncertain.
+    Hypotheses that differ from it in depth alone are moved by as much. All others keep their own
+    depths: they are other interpretations of the image. Without landmarks, skeletons stay in the
+    axes of the line of sight unless the field of view is known.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def place_skeletons(
     """
     if landmarks is None:
         placed = _as_they_are(points_3d, points_2d, camera)
-        # A mask may be a crop: nothing shows where the optical axis is, unless the caller says so.
+        # A mask may be a crop: its optical axis is unknown unless the caller describes the camera.
         return placed if camera.given else replace(placed, points_3d=points_3d)
     visibility = landmarks.visibility[_SEEN_LANDMARKS]
     visible = np.where(visibility > _MIN_MOVING_VISIBILITY, visibility, 0.0)

@@ -1,9 +1,10 @@
 """The probability of each posture of a person, in a frame and over time.
 
-Rules name the posture of every hypothesis (:mod:`index.posture`), which votes with its confidence.
-Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`). Of a frame with
-landmarks, the six decide, and the votes split them into finer ones. Without landmarks, the
-silhouette decides (:mod:`index.silhouette_posture`). Over the frames of a track, both are averaged.
+Rules name the posture of every hypothesis (:mod:`index.posture`), and each hypothesis votes for it
+with its confidence. Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`).
+In a frame with landmarks, these six decide, and the votes split them into finer ones. Without
+landmarks, the silhouette decides (:mod:`index.silhouette_posture`). Over the frames of a track,
+both are averaged.
 """
 
 import math
@@ -32,13 +33,13 @@ _HELD = [np.isin(POSTURES, members) for members in (*GROUPS[:-1], ("crawling",),
 """For each of :data:`app.vision.judgement.FRAME_POSTURES`, the ``POSTURES`` it includes."""
 
 MIN_PROBABILITY = 0.5
-"""Probability from which a posture is reported; below, it is ``unclear``."""
+"""Probability from which a posture is reported; below it, the label is ``unclear``."""
 
 # Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
 # above 0.8 from a confidence of 0.2.
 _CONFIDENCE_SLOPE = 1.5
 
-# Share given to every posture for which no hypothesis votes.
+# Share of a posture that no hypothesis votes for.
 _MIN_VOTE = 1e-3
 
 
@@ -77,14 +78,14 @@ def estimate_posture(
 def with_upright_votes(
     shares: NDArray[np.float64], votes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Shares ``(10,)`` of a silhouette, those who are upright divided by other votes ``(10,)``."""
+    """Shares ``(10,)`` of a silhouette, with the upright share split by other votes ``(10,)``."""
     members = _MEMBERS[GROUPS.index(UPRIGHT)]
     within = np.where(members, votes + _MIN_VOTE, 0.0)
     return np.where(members, shares[members].sum() * within / within.sum(), shares)
 
 
 def as_standing(shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same shares ``(10,)``, but all who walk or run stand."""
+    """The same shares ``(10,)``, with walking and running added to standing."""
     moving = np.isin(POSTURES, ("walking", "running"))
     standing = np.array([posture == "standing" for posture in POSTURES])
     return np.where(moving, 0.0, shares + standing * shares[moving].sum())
@@ -93,8 +94,8 @@ def as_standing(shares: NDArray[np.float64]) -> NDArray[np.float64]:
 def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shares ``(10,)`` of ``POSTURES``: from the landmarks, split by the votes of hypotheses.
 
-    Landmarks distinguish six postures; standing from walking, running and raised arms, and
-    crouching from kneeling, are distinguished by the votes alone.
+    Landmarks distinguish six postures. Only the votes distinguish standing from walking, running
+    and raised arms, and crouching from kneeling.
     """
     shares = np.zeros(len(POSTURES))
     for probability, members in zip(frame_posture.probabilities, _HELD, strict=True):
@@ -113,10 +114,9 @@ def likeliest_posture(
 ) -> EstimatedPosture:
     """The likeliest posture, given its shares ``(10,)``.
 
-    The probability is that of its group in :data:`GROUPS`: an image does not distinguish
-    standing from walking, nor lying from crawling, as surely as the groups. If no hypothesis fits,
-    votes and landmarks are doubtful as well, so the confidence of the best one limits the
-    probability.
+    The probability is that of its group in :data:`GROUPS`, because an image shows the group more
+    surely than standing or walking, lying or crawling. If no hypothesis fits, votes and landmarks
+    are doubtful as well, so the confidence of the best hypothesis limits the probability.
     """
     sums = [float(shares[members].sum()) for members in _MEMBERS]
     best_group = int(np.argmax(sums))
@@ -134,7 +134,7 @@ _LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
 _SETTLING_S = 0.4
 # Longest gap that counts: after a longer one, the newest frame has no more weight.
 _MAX_STEP_S = 1.0
-# Width over height of a box from which its person is likely lying, and the exponent of that ratio
+# Width over height of a box from which the person is probably lying, and the exponent of this ratio
 # in the odds.
 _WIDE_FROM, _WIDE_SLOPE = 1.2, 3.0
 
@@ -160,7 +160,7 @@ class PostureFilter:
 
         The votes ``(10,)`` are those of the hypotheses or, without landmarks, the frame's shares;
         ``frame_posture`` is from the landmarks, if any were read. ``presence`` is the probability
-        that these are a person's, ``weight`` that of the frame, 0 to 1.
+        that the landmarks are a person's, ``weight`` the weight of the frame, 0 to 1.
         """
         shares = votes
         if frame_posture is not None:

@@ -65,17 +65,17 @@ class ProjectedHypothesis(PoseHypothesis):
 
 @dataclass(frozen=True)
 class Person:
-    """A person of a frame: as observed and, once poses are fitted, with these.
+    """A person of a frame: as observed and, once poses are fitted, with the poses.
 
-    Positions are in pixels of the frame. There is no detection score where the caller marked the
-    people, no silhouette where none was found in a caller's box; landmarks and all that follows
-    from them, ``trust`` and the frame's posture among it, are None where these were not read.
-    ``presence`` is the probability that the window in which they were read shows a person, that of
-    the trust; ``next_window`` is where the network would look in the next frame, ``beside`` whether
-    it saw the person only while others were painted over; ``patch`` and ``colours`` ``(80,)`` are
-    how a person who is tracked looks, and ``hips`` ``(3,)`` their middle, metres from the camera in
-    its axes. Hypotheses come best first; without a silhouette there are none, and neither colours,
-    facing nor posture.
+    Positions are in pixels of the frame. The detection score is None if the caller marked the
+    people, the silhouette if none was found in a caller's box. Landmarks and everything that
+    follows from them, including ``trust`` and the frame's posture, are None if no landmarks were
+    read. ``presence``, from the trust, is the probability that the window of the reading shows a
+    person. ``next_window`` is the window to read in the next frame. ``beside`` says that the
+    network saw the person only while others were painted over. ``patch`` and ``colours`` ``(80,)``
+    describe the looks of a tracked person. ``hips`` ``(3,)`` is the middle of the hips, metres from
+    the camera in its axes. Hypotheses come best first; without a silhouette there are no
+    hypotheses, colours, facing or posture.
     """
 
     box: Box
@@ -102,7 +102,7 @@ class Person:
 
     @property
     def window_empty(self) -> bool:
-        """Whether nobody is seen in the window about a caller's box."""
+        """Whether the window about a caller's box shows no person."""
         if self.source != "boxes":
             return False
         unseen = self.presence is not None and self.presence < MIN_PRESENCE
@@ -140,8 +140,8 @@ class Estimate:
     """The people of a frame, from left to right.
 
     The frame ``(H, W, 3)``, BGR, is as it was sent, black if the caller sent a mask alone; its
-    camera has square pixels. Warnings are those of :class:`app.vision.images.Photograph`,
-    ``timings_ms`` the milliseconds by stage and in all.
+    camera has square pixels. Warnings are those of :class:`app.vision.images.Photograph`;
+    ``timings_ms`` are the milliseconds by stage and in total.
     """
 
     frame: NDArray[np.uint8]

@@ -35,7 +35,8 @@ MIN_BOX_PX = 0.01
 """Shortest side of a caller's box: a unit of the last digit of a reply."""
 
 _MIN_LONGER_SIDE_PX = 2
-"""Of a box in pixels: no person is smaller, and fractions of a frame are at most 1."""
+"""Least longer side of a box in pixels: no person is smaller. Sides of a box that was sent in
+fractions of the frame are at most 1."""
 
 _MIN_FIGURE_SHARE = 0.25
 """Area of the smallest part of a mask that may be a person, as a share of the largest part's."""
@@ -49,11 +50,11 @@ narrower one."""
 
 
 UploadFault = Literal["undecodable", "too_large", "misfit"]
-"""A misfit is valid in itself, but not for this frame."""
+"""A ``misfit`` is valid in itself, but not for this frame."""
 
 
 class UploadError(ValueError):
-    """An upload that cannot be used; its message is one sentence, its field the one at fault."""
+    """An unusable upload; the message is one sentence, ``field`` names the faulty part."""
 
     def __init__(self, field: str, message: str, reason: UploadFault = "misfit") -> None:
         super().__init__(message)
@@ -66,10 +67,10 @@ class Upload:
     """Encoded images of one size and, if known, where the people are.
 
     The frame is a photograph, encoded or ``(H, W, 3)`` BGR pixels; it may be missing if there is a
-    mask: a label image, 0 background, k = person k, which cannot be combined with boxes, in pixels
-    of the frame, or a background, a photograph of the empty scene. ``track_ids`` are the caller's
-    identities of the people in the boxes. Without optics, a field of view is assumed, with square
-    pixels and an upright camera.
+    mask. A mask is a label image: 0 is background, k is person k. It cannot be combined with boxes,
+    which are in pixels of the frame, or with a background, a photograph of the empty scene.
+    ``track_ids`` are the caller's identities of the people in the boxes. Without optics, a field of
+    view is assumed, with square pixels and an upright camera.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
@@ -81,7 +82,7 @@ class Upload:
 
     @property
     def given(self) -> tuple[str, ...]:
-        """Names of the given images and lists, which determine how long the work takes."""
+        """Names of the given images and lists; these determine how long the work takes."""
         names = ("frame", "mask", "background", "boxes", "track_ids")
         return tuple(name for name in names if getattr(self, name) is not None)
 
@@ -111,9 +112,9 @@ def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> N
 class DecodedUpload:
     """Images of one size, with square pixels and upright, and boxes within them.
 
-    Images are ``(H, W, 3)``, BGR. ``sent`` is the frame as sent, black if the caller sent a mask
-    alone, which ``has_frame`` tells; ``frame`` is the rectified one, to which the camera and the
-    boxes, clipped to it, belong. ``rectification`` converts between the two; warnings about the
+    Images are ``(H, W, 3)``, BGR. ``sent`` is the frame as sent; it is black, and ``has_frame``
+    false, if the caller sent a mask alone. ``frame`` is the rectified frame; the camera belongs to
+    it, and boxes are clipped to it. ``rectification`` converts between the two. Warnings about the
     frame are those of :class:`app.vision.images.Photograph`.
     """
 
@@ -141,7 +142,7 @@ class UploadDecoder:
     def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
         """Decode all images of an upload and check that they fit together.
 
-        With ``blank``, the frame is black: nothing will look at it.
+        With ``blank``, the frame is black, because its pixels are not needed.
         """
         images = (
             ("frame", upload.frame, blank_image if blank else decode_image),
@@ -245,7 +246,7 @@ def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8])
 
 
 def _check_together(mask: LabelImage) -> None:
-    """Refuse a mask whose only label marks several people who are apart from one another.
+    """Refuse a mask with a single label for several people at a distance from one another.
 
     Taken as one person, they would form a wide silhouette and appear to be lying.
     """

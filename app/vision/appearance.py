@@ -1,4 +1,4 @@
-"""How a person looks in a frame: the colours of their clothes, and a picture of their place."""
+"""The looks of a person in a frame: the colours of the clothes, and a picture of the place."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from app.vision.geometry import Box, crop, shrink_quickly
 from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
-# Every second row and column of a person twice as large shows the same colours, and so on.
+# Of a person twice as large, every second row and column shows the same colours, and so on.
 _COLOURS_PX = 200
 
 
@@ -43,15 +43,15 @@ def colour_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> 
     return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
 
 
-# Cells of a patch each way; the change of light, in grey levels, up to which it may show the same,
-# and the mean difference beside it. Noise of single pixels averages out; a person who moves or goes
-# changes a patch by far more.
+# Cells of a patch each way. Up to this change of light, in grey levels, and up to this mean
+# difference besides, a patch shows the same. Noise of single pixels averages out; a person who
+# moves or leaves changes a patch by far more.
 _PATCH_CELLS, _MAX_LIGHT, _MAX_DIFFERENCE = 16, 15.0, 6.0
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A small grey picture ``(16, 16)`` of a part of a frame: of a box in its pixels."""
+    """A small grey picture ``(16, 16)`` of a box, which is in pixels of the frame."""
 
     box: Box
     grey: NDArray[np.float32]
@@ -65,7 +65,7 @@ class Patch:
         return cls(box, cv2.cvtColor(cells, cv2.COLOR_BGR2GRAY).astype(np.float32))
 
     def is_shown_by(self, frame: NDArray[np.uint8]) -> bool:
-        """Whether another frame shows the same there, perhaps in other light."""
+        """Whether another frame shows the same in this box, perhaps in different light."""
         change = Patch.of(frame, self.box).grey - self.grey
         light = np.clip(np.median(change), -_MAX_LIGHT, _MAX_LIGHT)
         return bool(np.abs(change - light).mean() < _MAX_DIFFERENCE)

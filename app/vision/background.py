@@ -12,7 +12,7 @@ from app.vision.people import Detection, Silhouette, silhouette_from_mask
 from app.vision.truncation import with_truncation
 
 _MAX_PX = 1920 * 1080  # Larger frames are reduced, since a pixel takes 60 bytes.
-_MAX_GAIN = 2.0  # Of the exposure, either way: one f-stop.
+_MAX_GAIN = 2.0  # Largest change of exposure, either way: one f-stop.
 # Grey levels that compression and vibration leave; chosen on people pasted into a street.
 _MIN_NOISE = 4.0
 
@@ -67,8 +67,8 @@ _HEIGHT_PER_GAP = 12.0  # Height of a person relative to gaps closed within a bo
 def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[Detection]:
     """People as upright regions of a foreground, the most solid ones first.
 
-    The score is at most 0.9, since a region of change is never a person for certain. People who
-    touch in the frame are found as one.
+    The score is at most 0.9, since a region of change is never certain to be a person. People
+    touching in the frame are found as one.
     """
     # Closing joins the parts of a body, for example if its belt has the pavement's colour.
     reach = max(1, round(min_person_px / _HEIGHT_PER_GAP))
@@ -94,7 +94,7 @@ def cut_out_changed(
     """Cut the person in each box out of a foreground; None where nothing changed.
 
     A pixel in several boxes goes to the one whose middle is nearest, in widths of the boxes.
-    ``checkpoint`` is called before each person; it raises an error if nobody waits any more.
+    ``checkpoint`` is called before each person; it raises an error if the result is not wanted.
     """
     found: list[Silhouette | None] = []
     for whole in boxes:

@@ -1,7 +1,7 @@
 """BlazePose [1]_: the landmark network and its mask.
 
-The landmark network reads landmarks and depth of the person in a window in one pass. The mask
-takes a second pass, of the maps that the first one leaves.
+The landmark network reads landmarks and depth of the person in a window in one pass. A second pass
+draws the mask from feature maps of the first.
 
 References
 ----------
@@ -40,7 +40,7 @@ class PoseReading:
     # (256, 256): probability that each pixel of the window shows the person; None before
     # :meth:`MaskNetwork.read`.
     probability: NDArray[np.float32] | None = None
-    # (S, S, C): what the mask is made of, 2 MB; empty where there is a mask, or none is wanted.
+    # (S, S, C): feature maps for the mask, 2 MB; empty once it is drawn, or if none is wanted.
     mask_inputs: tuple[NDArray[np.float32], ...] = ()
     # MoveNet's keypoints of the same person, in pixels of the frame.
     keypoints: ObservedKeypoints | None = None
@@ -54,7 +54,7 @@ class PoseReading:
 
     @property
     def drift(self) -> float:
-        """Distance from the window to the next, as a share of its side; large if it is wrong."""
+        """Distance from this window to the next, as a share of its side; large if it is wrong."""
         return self.window.drift(self.next_window)
 
     @property
@@ -68,7 +68,7 @@ class PoseReading:
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 """Rows, columns and channels of the feature maps: middle and last."""
 
-# Feature maps that the mask is made of, each of half the size of the one before.
+# Feature maps that the mask is drawn from, each half the size of the one before.
 _MASK_CHANNELS = (16, 24, 32, 88, 864)
 _MASK_SHAPES = [
     (LANDMARK_PX >> halved, LANDMARK_PX >> halved, channels)

@@ -45,13 +45,13 @@ class Body3D:
         return self.points @ to_line_of_sight(camera.rays(hips)).T
 
 
-_MIN_WEIGHT = 0.05  # Of unseen landmarks when a body is placed.
+_MIN_WEIGHT = 0.05  # Least weight of a landmark when a body is placed.
 
 
 def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body3D:
     """Put landmarks onto their lines of sight at corrected depths.
 
-    A landmark's weight when the body is placed is the probability that it is seen.
+    A landmark's weight when the body is placed is the probability that it is visible.
 
     Raises
     ------
@@ -85,7 +85,7 @@ class DepthModel:
 
     network: DenseNetwork
     # (33, 33): second moments of the errors, each divided by the standard deviation of its Laplace
-    # distribution: a body that leans errs as a whole.
+    # distribution: the errors of a leaning body are correlated.
     moments: NDArray[np.float64]
 
     def covariance(self, sigmas: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -111,7 +111,7 @@ def network_depths(world: NDArray[np.floating]) -> NDArray[np.float64]:
 def sight_features(
     windows: NDArray[np.float64], focal: NDArray[np.float64], centre: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Directions and sizes in which windows are seen: ``(N, 5)``.
+    """Directions and angular sizes of windows, as the camera sees them: ``(N, 5)``.
 
     Parameters
     ----------

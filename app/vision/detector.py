@@ -1,7 +1,7 @@
-"""Detection of people: what all detectors find, one detection a person, with its probability.
+"""Detection of people: one detection a person, with its probability, from all detectors.
 
-The detectors are in :mod:`app.vision.detectors`. HOG sees the boxes of the first one again and,
-where a person is doubtful, a detector of objects compares the person with animals and furniture.
+The detectors are in :mod:`app.vision.detectors`. HOG scores the boxes of the first one again. For a
+doubtful person, an object detector compares the person with animals and furniture.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from app.vision.same_person import is_expected, may_be_reached, shows, tell_apar
 MIN_DETECTION_SCORE = 0.3
 """Probability from which a detection is reported by default."""
 
-# Log odds added to a detection where a person was seen a moment ago. People do not vanish, but a
+# Log odds added to a detection where a person was visible a moment ago. People do not vanish, but a
 # falling person is blurred, and then lies in a pose that detectors rarely recognise.
 _EXPECTED_LOG_ODDS = 1.0
 DOUBTFUL = (0.2, 0.8)
 """Probabilities between which a detection is compared with other objects."""
 
 # Side of the window in which a detection is compared, relative to the longer side of the box, and
-# the turn of the trunk from which it is also compared upright: the network hardly knows people who
-# lie.
+# the turn of the trunk from which a window turned upright is compared as well: the network hardly
+# recognises lying people.
 _OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
-# Probability from which a detection close to others may be a person whom they partly hide.
+# Probability from which a detection close to others may be a person partly hidden by them.
 _MIN_HIDDEN_PROBABILITY = 0.15
 
 
@@ -49,10 +49,10 @@ class NetworkDetector:
     Parameters
     ----------
     detectors : sequence of Detector
-        The first finds people of any size, the others add to these, and people whom it misses. Each
-        has a weight, see :func:`detection_odds`.
+        The first finds people of any size. The others add scores to these people, and find people
+        that the first misses. Each has a weight, see :func:`detection_odds`.
     landmarks : LandmarkNetwork
-        Confirms people whom the first detector misses.
+        Confirms people that the first detector misses.
     objects : ObjectNetwork
         Compares doubtful people with other objects.
     min_person_px : float, optional
@@ -86,18 +86,18 @@ class NetworkDetector:
         expected_boxes: Sequence[Box] = (),
         known_boxes: Sequence[Box] = (),
     ) -> tuple[list[Detection], list[Detection]]:
-        """Find the people of a frame ``(H, W, 3)``, BGR, and those perhaps beside them.
+        """Find the people of a frame ``(H, W, 3)``, BGR, and possible people beside them.
 
-        ``expected_boxes`` surround people who were there a moment ago and were not seen to leave,
-        ``known_boxes`` people who need no comparison with other objects.
+        ``expected_boxes`` surround people who were visible a moment ago and have not left the
+        frame; ``known_boxes`` surround people who need no comparison with other objects.
 
         Returns
         -------
         people : list of Detection
             Best first.
         perhaps_beside : list of Detection
-            They overlap these people and may be part of them, unless a reading beside them shows
-            another body; best first.
+            Detections that overlap these people, best first. They count as parts of these people
+            unless a reading beside these shows another body.
         """
         people, scores, others = self._found(frame)
         odds = detection_odds(scores)
@@ -124,13 +124,13 @@ class NetworkDetector:
         odds: NDArray[np.float64],
         known_boxes: Sequence[Box],
     ) -> None:
-        """Add to the log odds ``(N,)`` of doubtful people what the detector of objects says."""
+        """Change the log odds ``(N,)`` of doubtful people by those of the object detector."""
         for row, (one, probability) in enumerate(zip(people, sigmoid(odds), strict=True)):
             is_doubtful = DOUBTFUL[0] <= probability < DOUBTFUL[1]
             if not is_doubtful or any(is_expected(one.box, known) for known in known_boxes):
                 continue
             gain = object_odds(*self.object_log_odds(frame, one))
-            # Those hardly seen beside others look like part of them.
+            # People hardly visible beside others look like part of them.
             odds[row] += gain if probability >= self._min_score else max(0.0, gain)
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
@@ -142,13 +142,13 @@ class NetworkDetector:
             One for each person, with the first detector's score and the windows of the others.
         scores : (N, 3) float64 array
             MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
-            finds nobody.
+            finds no person.
         """
         people, scores, _ = self._found(frame)
         return people, scores
 
     def object_log_odds(self, frame: NDArray[np.uint8], one: Detection) -> tuple[float, float]:
-        """As :meth:`ObjectNetwork.log_odds`, upright or as the trunk is turned."""
+        """As :meth:`ObjectNetwork.log_odds`, with the window upright or turned with the trunk."""
         roll = one.windows[0].roll_deg if one.windows else trunk_roll_deg(one.keypoints)
         rolls = [0.0] if roll is None or abs(roll) < _MIN_TURN_DEG else [0.0, roll]
         side = _OBJECT_WINDOW_SCALE * max(one.box.width, one.box.height)
@@ -158,7 +158,7 @@ class NetworkDetector:
     def _found(
         self, frame: NDArray[np.uint8]
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
-        """All candidates and their scores, and others in their boxes with their probabilities."""
+        """All candidates with their scores, and other people in their boxes with probabilities."""
         picture = Picture.of(frame, self._min_person_px)
         columns = 2 + len(self._others)
         if not picture.tiles:
@@ -182,7 +182,7 @@ class NetworkDetector:
         column: int,
         detector: Detector,
     ) -> tuple[list[Detection], NDArray[np.float64]]:
-        """Add what another detector finds: windows and scores of these people, and more people."""
+        """Add the results of another detector: windows and scores of these people, new people."""
         people, known, rows = list(people), range(len(people)), list(scores)
         for seen in detector.detect(picture):
             same = [row for row in known if shows(seen, people[row])]
@@ -197,7 +197,7 @@ class NetworkDetector:
         return people, np.reshape(rows, (len(people), scores.shape[1]))
 
     def _confirmed(self, frame: NDArray[np.uint8], seen: Detection) -> Detection | None:
-        """A person whom the first detector misses, if the landmark network sees one there."""
+        """A person that the first detector misses, if the landmark network confirms it."""
         window = seen.windows[0] if seen.windows else PersonWindow.about_box(seen.box)
         reading = self._landmarks.read(frame, window)
         box = reading.landmarks.box().clip(frame.shape[1], frame.shape[0])
@@ -221,7 +221,7 @@ def _by_score(one: Detection) -> float:
 
 
 def _margin(picture: Picture, box: Box) -> float:
-    """HOG's margin on a box, by the overview where the box is large enough in it."""
+    """HOG's margin on a box, from the overview if the box is large enough in it."""
     seen = box.scaled(picture.tiles[0].factor)
     if seen.height >= PERSON_PX:
         return hog_margin(picture.overview, seen)

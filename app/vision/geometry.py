@@ -1,4 +1,4 @@
-"""Boxes, the rotated windows in which landmarks are read, and the pixels that either holds."""
+"""Boxes, the rotated windows in which landmarks are read, and the pixels of both."""
 
 from __future__ import annotations
 
@@ -205,7 +205,7 @@ class PersonWindow:
     def on_grid(self) -> PersonWindow:
         """The nearest window on a grid of 1/64 of a pixel and of a degree.
 
-        What differs in the last digits, from one processor to another, then looks the same.
+        Windows that differ only in the last digits, between processors, are then the same.
         """
         x, y, roll_deg = (round(64 * value) / 64 for value in (self.x, self.y, self.roll_deg))
         return PersonWindow(x, y, max(1, round(64 * self.side)) / 64, roll_deg)
@@ -309,8 +309,8 @@ def resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint
 def shrink_quickly(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
     """Resize an image bilinearly, by halves first where it shrinks.
 
-    Of whole frames, that takes a tenth of the time of means over areas, and people are found alike.
-    What is read of one person, landmarks above all, is a little worse.
+    For whole frames, this takes a tenth of the time of means over areas, and detections are equally
+    good. Readings of one person, above all the landmarks, are a little worse.
     """
     while (size := image.shape[1::-1]) != (width, height):
         step = tuple(

@@ -34,9 +34,9 @@ end of the image is missing; ``damaged``: a frame of a video whose data is incom
 
 
 def configure_pillow() -> None:
-    """Lift Pillow's own limit of pixels, for which the caller's stands, and silence its warnings.
+    """Lift Pillow's own limit of pixels, since callers check theirs, and silence its warnings.
 
-    They concern the whole process, and come with every unusual tag.
+    Pillow warns about every unusual tag. Both settings apply to the whole process.
     """
     Image.MAX_IMAGE_PIXELS = None
     warnings.filterwarnings("ignore", module="PIL")
@@ -69,17 +69,17 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
     """Decode a photograph.
 
     The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR, and an
-    animation gives its first picture. What is transparent lies upon grey, so that the colours under
-    it do not count. 16 bits become 8; if the upper half of their range is not used, as with cameras
-    of 10 to 14 bits, the used range is stretched. A JPEG or TIFF is read if less than half of it is
-    missing.
+    animation gives its first picture. Transparent pixels are blended with grey, so their hidden
+    colours do not count. 16 bits become 8; if the upper half of their range is not used, as with
+    cameras of 10 to 14 bits, the used range is stretched. A JPEG or TIFF is read if less than half
+    of it is missing.
 
     Raises
     ------
     ImageTooLargeError
         If the header says that the image has more than ``max_pixels`` pixels.
     ImageError
-        If the bytes are no image of :data:`FORMATS`, or a broken one.
+        If the bytes are not an image of :data:`FORMATS`, or a broken one.
     """
     header = checked_header(data, max_pixels)
     with turn_of(header.width * header.height):
@@ -109,7 +109,7 @@ def _photograph(data: bytes, header: Image.Image) -> Photograph:
 
 
 _BYTES_PER_PIXEL = 8  # At most, in a TIFF.
-_MAX_MISSING_SHARE = 0.5  # An image of which more is missing is refused.
+_MAX_MISSING_SHARE = 0.5  # An image with a larger missing share is refused.
 
 
 def _check_missing(share: float, header: Image.Image) -> None:
@@ -117,11 +117,11 @@ def _check_missing(share: float, header: Image.Image) -> None:
         raise ImageError(f"the {header.format} image is broken: most of it is missing")
 
 
-_GREY = 128.0  # Below what is transparent.
+_GREY = 128.0  # Behind transparent pixels.
 
 
 def _upon_grey(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """BGR pixels of RGBA ones, where what is transparent shows grey."""
+    """BGR pixels of RGBA ones, with transparent pixels blended with grey."""
     alpha = cv2.cvtColor(rgba[..., 3], cv2.COLOR_GRAY2BGR)
     shown = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR)
     cv2.multiply(shown, alpha, dst=shown, scale=1 / 255)
@@ -142,9 +142,9 @@ def reduced_grey(
 ) -> NDArray[np.uint8] | None:
     """A grey picture of an image ``(H, W)``, an eighth, a quarter or a half of its size.
 
-    It is read from the coefficients of a JPEG, which takes less than half the time of the pixels.
-    None if the file is anything but a whole, upright JPEG of this shape, or would get smaller than
-    ``least``.
+    It is read from the coefficients of a JPEG, in less than half the time of decoding the pixels.
+    None if the file is not a whole, upright JPEG of this shape, or if the picture would be smaller
+    than ``least``.
     """
     height, width = shape[:2]
     by = next((by for by in _REDUCED if height // by >= least[0] and width // by >= least[1]), None)
@@ -166,7 +166,7 @@ _LARGE_ONES = Lock()
 
 
 def turn_of(pixels: int) -> AbstractContextManager[object]:
-    """Wait for the turn of a large image: while it is worked on, it takes several times its size.
+    """Wait for the turn of a large image: processing it takes several times its memory.
 
     Small images do not wait.
     """
@@ -179,7 +179,7 @@ _ON_THE_SIDE = (5, 6, 7, 8)  # EXIF orientations that swap the sides.
 def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
     """Make a black photograph of the size of an encoded one, for answers that need no more.
 
-    Of a JPEG, only the header is read, so the rest may be missing or broken. Raises like
+    For a JPEG, only the header is read, so the rest may be missing or broken. Raises like
     :func:`decode_image`.
     """
     header = checked_header(data, max_pixels)
@@ -218,9 +218,9 @@ _TAIL_BYTES = 64
 def _lacks_its_end(data: bytes, header: Image.Image) -> bool:
     """Whether the grey at the end of a JPEG is missing, and not stored.
 
-    The last bytes of its scan belong to the grey itself if it is stored, to the pixels before it if
-    not. So without these bytes, others change. A progressive JPEG has several scans; only its end
-    marker shows it.
+    If the grey is stored, the last bytes of the scan belong to the grey itself; if not, they belong
+    to the pixels before it, so that other pixels change without these bytes. A progressive JPEG has
+    several scans; only its end marker shows whether it is complete.
     """
     end = data.find(_END_OF_JPEG, data.rfind(_SCAN_OF_JPEG))
     if header.info.get("progressive"):
@@ -279,7 +279,7 @@ def _lost_strips(data: bytes, header: Image.Image) -> tuple[float, int]:
 
 
 def read_stored(data: bytes, mode: str | None = None) -> NDArray[np.uint8]:
-    """Stored values of an upright image, the indices of a palette; in another mode of Pillow's."""
+    """Stored values of an upright image, for a palette its indices; in another mode of Pillow's."""
     try:
         with Image.open(io.BytesIO(data), formats=FORMATS) as image:
             ImageOps.exif_transpose(image, in_place=True)
@@ -360,7 +360,7 @@ _END_OF_JPEG = b"\xff\xd9"
 
 
 def decode_pixels(data: bytes, header: Image.Image, flags: int) -> NDArray[Any]:
-    """Decode to 8 or 16 bits a channel with OpenCV, or with Pillow the TIFFs that it cannot."""
+    """Decode to 8 or 16 bits a channel with OpenCV, or with Pillow for TIFFs OpenCV cannot read."""
     if header.format in _JPEG:
         # Some cameras leave out the end marker. A second one does no harm, since bytes after the
         # first are ignored.

@@ -1,4 +1,4 @@
-"""Masks: a caller's labels of bodies, or an error that says what they are instead."""
+"""Masks: a caller's labels of bodies, or an error that says what the image shows instead."""
 
 from __future__ import annotations
 
@@ -76,13 +76,13 @@ class LabelImage:
 def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
-    Grey images and PNG images with a palette keep their stored values, whatever their bit depth: of
-    a palette, the indices are used, not the colours. An image with only two values, 0 and one
-    other, marks one person (label 1). So does one whose edges are soft, and a lossy image (JPEG,
-    WebP), since compression destroys labels; there, half of the largest value and more mark the
-    person. Three channels are accepted if they are equal. Transparent pixels mark nobody; if all
+    Grey images and PNG images with a palette keep their stored values, whatever their bit depth; a
+    palette gives its indices, not its colours. An image with only two values, 0 and one other,
+    marks one person (label 1). So does an image with soft edges, and a lossy image (JPEG, WebP),
+    since compression destroys labels; in these, values of at least half of the largest mark the
+    person. Three channels are accepted if they are equal. Transparent pixels are background; if all
     others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
-    What is smaller than a figure, a stray pixel for example, is dropped.
+    Parts smaller than a figure, such as a stray pixel, are dropped.
 
     Raises
     ------
@@ -136,15 +136,15 @@ def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:
 
 
 _MAX_LABELS = 100  # With more values, an image is a mask with soft edges, not a crowd.
-_MIN_WIDTH_PX = 3.0  # Of a body: narrower labels are edges, or slivers of people behind others.
+_MIN_WIDTH_PX = 3.0  # Least width of a body; narrower are edges, or slivers of hidden people.
 _MIN_INNER_SHARE = 0.2  # Outline of an edge towards higher labels, relative to that towards lower.
 _MAX_EXPOSED_SHARE = 0.1  # Of a label's outline that lies at the background if others surround it.
 
 
 def _has_soft_edges(image: LabelImage) -> bool:
-    """Whether most labels of an image are the shades of edges; an error if bodies have several.
+    """Whether most labels of an image are the shades of soft edges; an error for several bodies.
 
-    Shades are thin and have something higher on one side, or one surrounds the other.
+    Shades are thin and border on a higher value on one side, or one shade surrounds another label.
     """
     present, part = image.present, image.part
     if len(present) > _MAX_LABELS:
@@ -190,8 +190,9 @@ def _counts(
     return cv2.calcHist([labels], [0], where, [bins], [0, bins])[:, 0]
 
 
-# Shades between black and white: lossy compression and resizing move both by less, except at edges.
-# Pixels of other shades may be this share of those of the person.
+# A value counts as white from this share of the largest value, and as black up to the rest of it:
+# lossy compression and resizing move values by less, except at edges. Pixels of shades in between
+# may be this share of the person's pixels.
 _CERTAIN_SHARE = 0.81
 _MAX_BETWEEN = 0.75
 
@@ -207,7 +208,7 @@ def _thresholded(image: LabelImage, lossy: bool) -> NDArray[np.uint8]:
     marked = np.asarray(values > (peak - 1) // 2).view(np.uint8)
     certain = round(_CERTAIN_SHARE * peak)
     between = np.count_nonzero((values > peak - certain) & (values < certain))
-    count = np.count_nonzero(marked)  # None, if labels are small numbers.
+    count = np.count_nonzero(marked)  # 0 if labels are small numbers.
     if count and between <= _MAX_BETWEEN * count:
         return marked
     if lossy:
@@ -218,9 +219,9 @@ def _thresholded(image: LabelImage, lossy: bool) -> NDArray[np.uint8]:
     raise ImageError(_SOFT_EDGES.format(len(image.present)))
 
 
-# Most pairs of neighbouring pixels with different labels: this number and, above the last one,
-# also this share of the pixels. Fifty people who fill a frame of 12 megapixels have 400,000, a
-# thirtieth of the pixels; noise has two for each pixel.
+# Most pairs of neighbouring pixels with different labels: this number and, above the last number,
+# also this share of the pixels. Fifty people filling a frame of 12 megapixels give 400,000 pairs, a
+# thirtieth of the pixels; noise gives two pairs for each pixel.
 _MAX_LABEL_CHANGES = 1_000_000
 _MAX_LABEL_CHANGE_SHARE = 0.5
 _FEW_LABEL_CHANGES = 10_000
@@ -242,10 +243,10 @@ def _check_scatter(image: LabelImage) -> None:
 
 
 # Longer side of the smallest figure: below it, a third of the clear postures of rendered people
-# change. Parts of a label that are as small, and this small a share of its largest one, are specks.
+# change. Parts of a label below this size and below this share of its largest part are specks.
 _MIN_FIGURE_PX = 12
 _SPECK_SHARE = 0.05
-_MAX_BORDER_SHARE = 0.75  # Of the frame's border that a person may cover.
+_MAX_BORDER_SHARE = 0.75  # Largest share of the frame's border that a person covers.
 
 
 def _of_figures(image: LabelImage) -> LabelImage:

@@ -88,7 +88,7 @@ class KeypointReader:
     def read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
         """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
 
-        They are in pixels of the frame; None if the network finds nobody in the box.
+        They are in pixels of the frame; None if the network finds no person in the box.
         """
         rect, columns, rows = keypoint_window(box)
         people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
@@ -100,21 +100,21 @@ class KeypointReader:
         return person.keypoints.scaled(scale).moved(rect[0], rect[1])
 
     def _best_match(self, people: list[MoveNetDetection], box: Box) -> MoveNetDetection | None:
-        """The person in a box; the window around it may show neighbours as well."""
+        """The detection that fits a box best; the window around it may show neighbours as well."""
         # A blank wall can have a centre but no keypoints; its score is then 0.
         near = [one for one in people if one.score > 0 and box.iou(one.box) >= _MIN_IOU]
         return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
 
 
 KEYPOINT_WINDOW_PX = (256, 160)
-"""Sides at which MoveNet sees the window of one person, the longer side along them."""
+"""Sides of MoveNet's input for the window of one person; the longer one is along the person."""
 
 KEYPOINT_WINDOW_SCALE = 1.25
 """Size of that window relative to the person's box."""
 
 
 def keypoint_window(box: Box) -> tuple[PixelRect, int, int]:
-    """Window about a box in whole pixels, and the columns and rows at which MoveNet sees it."""
+    """Window about a box in whole pixels, and the columns and rows of MoveNet's input for it."""
     long_px, short_px = KEYPOINT_WINDOW_PX
     columns, rows = (long_px, short_px) if box.width > box.height else (short_px, long_px)
     scale = KEYPOINT_WINDOW_SCALE * max(box.width / columns, box.height / rows)

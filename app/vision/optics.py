@@ -1,8 +1,8 @@
 """Lines of sight: from pixels to directions, and bodies placed on the lines of their landmarks.
 
 Camera axes: x right, y down, z forward. The axes of a line of sight are the camera's, turned by
-the smallest rotation that brings z onto the line; the landmark network's metres are in those of the
-window's middle, up to the window's roll.
+the smallest rotation that brings z onto the line. The landmark network's metres are in the axes of
+the line of sight to the window's middle, up to the window's roll.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ NEAREST_M = 0.3
 
 @dataclass(frozen=True)
 class Optics:
-    """What a caller says about a camera; None where nothing is said.
+    """A caller's description of a camera; None for what is not given.
 
-    It is the horizontal field of view of the frame as sent, the width over the height of a pixel,
-    and the camera's clockwise rotation about its line of sight.
+    The fields are the horizontal field of view of the frame as sent, the width over the height of a
+    pixel, and the camera's clockwise rotation about its line of sight.
     """
 
     fov_deg: float | None = None
@@ -34,7 +34,7 @@ class Optics:
     roll_deg: float | None = None
 
     def or_else(self, other: Optics) -> Optics:
-        """The same, with what is missing filled in from another."""
+        """The same, with missing values filled in from another."""
         return Optics(
             *(
                 theirs if own is None else own

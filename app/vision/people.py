@@ -1,4 +1,4 @@
-"""What vision finds of a person: keypoints, landmarks, detections and silhouettes."""
+"""The results of vision for a person: keypoints, landmarks, detections and silhouettes."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Silhouette:
         return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
 
     def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """The silhouette as a mask ``(H, W)`` of a frame whose shape begins with these."""
+        """The silhouette as a mask ``(H, W)`` of a frame of this shape, ``(H, W, ...)``."""
         mask = np.zeros(frame_shape[:2], bool)
         self.paint(mask, 1)
         return mask

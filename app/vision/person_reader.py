@@ -1,7 +1,7 @@
 """Reads one person: the best of the landmark network's readings, fused with MoveNet's keypoints.
 
 The landmark network is reliable if its window is right: about the body, with the trunk upright.
-Windows come from the detectors. MoveNet's keypoints need no window: they show which reading is
+Windows come from the detectors. MoveNet's keypoints need no window. They show which reading is
 right, and make its landmarks a little more precise where both networks agree.
 """
 
@@ -25,8 +25,8 @@ from app.vision.people import (
 )
 from app.vision.truncation import MIN_VISIBLE_SCORE, ends_at_border
 
-# If the trunk leans by an angle between these, a window that is not turned is tried as well: in
-# windows turned to a leaning trunk, the network sometimes exchanges left and right.
+# If the trunk leans by an angle between these, an upright window is tried as well: in windows
+# turned to a leaning trunk, the network sometimes exchanges left and right.
 _MIN_LEAN_DEG = 15.0
 _MAX_LEAN_DEG = 60.0
 _GOOD_QUALITY = 0.85  # From this quality on, no further window is tried.
@@ -36,7 +36,7 @@ _DOUBTFUL_QUALITY = 0.6
 MIN_PRESENCE = 0.5
 """Presence from which the landmark network recognises a person."""
 
-# A window has lost its person if the next one would be farther away than this share of its side.
+# A window has lost its person if the next window is farther away than this share of its side.
 _MAX_DRIFT = 0.35
 # Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
 # the reading itself; poses of smaller people are averaged over more frames instead.
@@ -111,7 +111,7 @@ class PersonReader:
         if keypoints is None:
             return reading
         if sides_exchanged(reading, keypoints):
-            # The window may have led the network astray.
+            # The window may have misled the network.
             return self.read(frame, box, keypoints)
         return fuse(reading, keypoints)
 
@@ -122,9 +122,9 @@ class PersonReader:
         keypoints: ObservedKeypoints,
         others: Sequence[PoseReading],
     ) -> PoseReading | None:
-        """Read a person close to others, who are painted over so that nobody is read twice.
+        """Read a person close to others, with the others painted over so that none is read twice.
 
-        None if nobody is seen beside them.
+        None if the reading shows no person beside them.
         """
         alone = without_bodies(frame, box, keypoints, others)
         window = PersonWindow.about_box(box, trunk_roll_deg(keypoints) or 0.0)
@@ -169,14 +169,14 @@ class PersonReader:
         return max(best, self.network.read(frame, best.next_window), key=quality_of)
 
 
-# Least quality of a reading beside others, and that of a first reading below which no other window
-# shows anybody; chosen on rendered groups.
+# Least quality of a reading beside others, and quality of a first reading below which no other
+# window shows a person; chosen on rendered groups.
 _MIN_QUALITY_BESIDE, _HOPELESS_QUALITY = 0.5, 0.2
 _LIMBS = (
     ("nose", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"),
     ("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"),
 )  # fmt: skip
-# Limbs of both sides, and what joins these, by their ends.
+# Limbs of both sides and the lines between the sides, by their ends.
 _LIMB_ENDS = [
     *map(coco_rows, ("shoulder", "hip")),
     *(
@@ -185,7 +185,7 @@ _LIMB_ENDS = [
         for ends in np.stack(np.broadcast_arrays(*map(coco_rows, limb)), axis=-1).tolist()
     ),
 ]
-# A body reaches so far about its limbs, in sizes of the body.
+# Distance from the limbs up to which a body reaches, in sizes of the body.
 _FLESH = 0.2
 # Longer side of the picture in which distances to limbs are measured.
 _LIMBS_PX = 512
@@ -199,9 +199,9 @@ def without_bodies(
     keypoints: ObservedKeypoints,
     others: Iterable[PoseReading],
 ) -> NDArray[np.uint8]:
-    """A frame in which the bodies of others are grey about a person's box.
+    """A frame with the bodies of others painted grey about a person's box.
 
-    Of pixels close to the limbs of both, those that are closer to the person's keypoints stay.
+    A pixel close to the limbs of both stays if the person's keypoints are nearer.
     """
     result = frame.copy()
     region = box.grown(1.0).clip(frame.shape[1], frame.shape[0])
@@ -229,7 +229,7 @@ def without_bodies(
 def _distance_to_limbs(
     size: tuple[int, int], positions: NDArray[np.float64], seen: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Distance of each pixel ``(H, W)`` of a picture to the nearest limb whose ends are seen."""
+    """Distance of each pixel ``(H, W)`` of a picture to the nearest limb with visible ends."""
     off_limb = np.full(size[::-1], 255, np.uint8)
     ends = np.clip(positions, -(2**14), 2**14).round().astype(int).tolist()
     for first, last in _LIMB_ENDS:
@@ -300,7 +300,7 @@ _DRIFT_WEIGHT = 1.0
 AGREEMENT_DISTANCE = 0.15
 """Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
 
-_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds nobody.
+_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds no person.
 
 
 def reading_quality(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:

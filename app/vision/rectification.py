@@ -1,4 +1,4 @@
-"""Frames are rectified before anything looks at them: square pixels, and an upright camera."""
+"""Rectification of frames before all other steps: square pixels, and an upright camera."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Rectification:
 
     @property
     def changes(self) -> bool:
-        """Whether the frame is not rectified as it was sent."""
+        """Whether the frame has to be rectified."""
         return self.sent != self.square or self.quarters != 0
 
     def rectify(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:

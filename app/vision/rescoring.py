@@ -1,7 +1,7 @@
-"""Re-scoring of the boxes that the networks find, by two detectors that see only these.
+"""Re-scoring of the boxes that the networks find, by two detectors that see only these boxes.
 
 OpenCV's HOG people detector, a linear SVM on histograms of oriented gradients [1]_, recognises
-people who stand. MediaPipe's detector of objects, a MobileNet [2]_ trained on Open Images, compares
+standing people. MediaPipe's object detector, a MobileNet [2]_ trained on Open Images, compares
 people with animals and furniture.
 
 References
@@ -48,7 +48,7 @@ def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
-    # At whole pixels; beyond the frame, its border goes on, so that no edge is added.
+    # At whole pixels; the frame's border is repeated beyond the frame, so that no edge is added.
     around = cv2.getRectSubPix(
         frame, (width, height), (left + (width - 1) / 2, top + (height - 1) / 2)
     ).astype(np.uint8, copy=False)
@@ -62,7 +62,7 @@ _CLASSES = (
     "vehicle", "footwear", "dog", "book", "camera", "car",
 )  # fmt: skip
 _PERSON = _CLASSES.index("person")
-# What people wear is no other object.
+# Clothes and other things that people wear do not count as other objects.
 _WORN = ("boot", "high heels", "footwear")
 _OTHERS = [row for row, name in enumerate(_CLASSES) if name not in ("background", "person", *_WORN)]
 _OBJECTS_PX = 192
@@ -71,7 +71,7 @@ _GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
 
 
 class ObjectNetwork:
-    """Tells people from other objects; thread-safe.
+    """Distinguishes people from other objects; thread-safe.
 
     Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
     """

@@ -1,8 +1,9 @@
-"""Whether two finds are the same person: each case, and its limits.
+"""Whether two detections show the same person: each case, and its limits.
 
-Two finds are compared by the best that both have: their points, a window and a box, or two boxes. A
-person of an earlier frame is compared with those of a later one by a small network, which weighs
-what place, size, shape, time and clothes say (``python -m scripts train-identity``).
+Two detections or readings of a frame are compared by the best that both have: their points, a
+window and a box, or two boxes. A small network compares a person of an earlier frame with the
+people of a later one, by place, size, shape, time and clothes
+(``python -m scripts train-identity``).
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from app.vision.people import Detection
 
 # Overlap from which two boxes of a frame show one person; two people side by side reach 0.3.
 _SAME_BOX_IOU = 0.4
-# Overlap from which a box shows the person who is expected in another one.
+# Overlap from which a box shows the person expected in another box.
 _EXPECTED_IOU = 0.3
 # Size of a body's window relative to the one about a box, if both show one person.
 _WINDOW_SIZES = (0.4, 2.5)
-# Share of a box within reach of a person who is expected and may have fallen.
+# Share of a box within reach of an expected person, who may have fallen.
 _MIN_SHARE_IN_REACH = 0.5
 # Points of one person are in the same place within this distance, in sizes of the body, for most of
 # their weight. Keypoints of lower scores are not compared.
@@ -37,9 +38,9 @@ _SAME_PLACE, _MIN_COMPARED_SCORE = 0.12, 0.1
 
 
 def tell_apart(found: Sequence[Detection]) -> tuple[list[Detection], list[Detection]]:
-    """People, one detection each, and others in their boxes whose keypoints differ from theirs.
+    """People, one detection each, and other detections in their boxes with different keypoints.
 
-    Of detections of one person, the first is kept.
+    Of several detections of one person, the first is kept.
     """
     ranks = -np.arange(float(len(found)))
     kept = non_max_suppression(box_array(one.box for one in found), ranks, _SAME_BOX_IOU)
@@ -74,7 +75,7 @@ def first_of_body(readings: Sequence[PoseReading]) -> list[int]:
 
 
 def _same_landmarks(first: PoseReading, second: PoseReading) -> bool:
-    """Whether two readings show the same body; what neither sees hardly counts."""
+    """Whether two readings show the same body; landmarks hidden in both hardly count."""
     one, other = first.landmarks, second.landmarks
     weights = one.visibility * other.visibility + 1e-3
     size = min(first.body_px, second.body_px)
@@ -87,7 +88,7 @@ def _same_points(
     weights: NDArray[np.float64],
     size: float,
 ) -> bool:
-    """Whether most of the weight ``(N,)`` is of points ``(N, 2)`` that lie in the same place."""
+    """Whether points ``(N, 2)`` with most of the weight ``(N,)`` lie in the same places."""
     close = np.linalg.norm(first - second, axis=1) < _SAME_PLACE * size
     return bool(weights @ close >= 0.5 * weights.sum())
 
@@ -103,7 +104,7 @@ def shows(one: Detection, person: Detection) -> bool:
 
 
 def is_expected(box: Box, expected: Box) -> bool:
-    """Whether a box shows the person who is expected in another one."""
+    """Whether a box shows the person expected in another box."""
     return box.iou(expected) >= _EXPECTED_IOU
 
 
@@ -124,7 +125,7 @@ _FAR, _LONG_S = 4.0, 3.0
 
 @dataclass(frozen=True)
 class KnownPerson:
-    """A person of earlier frames, and where they are expected in this one.
+    """A person of earlier frames, and the place expected in this frame.
 
     Boxes are as predicted and as last seen, ``elapsed_s`` seconds ago. The colours ``(80,)`` are
     None if they are unknown.
@@ -143,13 +144,12 @@ class KnownPerson:
     def features(
         self, box: Box, colours: NDArray[np.float32] | None, *, in_window: bool
     ) -> NDArray[np.float64]:
-        """What compares the known person with one of this frame ``(13,)``.
+        """Features ``(13,)`` that compare the known person with a person of this frame.
 
-        From the predicted and from the seen box each: the distance in body sizes, the overlap and
-        the change of size; how far the lower edge moved, the change of shape, the share of the
-        smaller box in the other, the time since, the distance of the colours, whether these are
-        unknown, and whether the person was read in the window in which the known one is expected
-        (``in_window``).
+        For the predicted and the seen box each: the distance in body sizes, the overlap and the
+        change of size. Then: the motion of the lower edge, the change of shape, the share of the
+        smaller box in the other, the elapsed time, the distance of the colours, whether colours are
+        unknown, and whether the person was read in the window of the known one (``in_window``).
         """
         size, parts = _size(box), list[float]()
         for known in (self.predicted, self.seen):
@@ -174,7 +174,7 @@ class KnownPerson:
 
 
 def same_probabilities(features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Probability ``(N,)`` that two people of different frames are one, of their features."""
+    """Probability ``(N,)`` that two people of different frames are the same, from features."""
     return sigmoid(_identity_network()(features)[:, 0].astype(np.float64))
 
 

@@ -25,8 +25,8 @@ def silhouettes_of(
 
     A pixel in several people's masks goes to the person with the highest probability. Unless the
     boxes are exact, limbs may reach beyond them. ``checkpoint`` is called before each person; it
-    raises an error if the work is no longer wanted. None stands where the network did not see the
-    person.
+    raises an error if the work is no longer wanted. The result is None for a person that the
+    network did not see.
     """
     regions = [
         _region(box if exact else _with_landmarks(box, reading), frame_shape)
@@ -87,7 +87,7 @@ def _with_landmarks(box: Box, reading: PoseReading) -> Box:
 
 
 def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:
-    """The part of a frame to cut a person out of: the mask shows where they end at the border.
+    """The part of a frame to cut a person out of; at the border, the mask shows where they end.
 
     None for a sliver at the edge that holds no pixel.
     """
@@ -106,7 +106,7 @@ _MIN_PROBABILITY = 0.5  # Of a person's pixels; chosen on even-numbered photogra
 _MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
 _MAX_HOLE = 0.01  # Area relative to the mask; larger holes stay.
 _MIN_COVER = 0.5  # Least share of a person's pixel that the drawn mask covers.
-_MIN_FILL = 0.12  # Filled share of the box below which the network saw nobody.
+_MIN_FILL = 0.12  # Filled share of the box below which the network saw no person.
 
 
 def _cut_out(

@@ -1,8 +1,8 @@
 """Whether a body is cut: by the frame's border, or by another person in front of it.
 
-What ends near the border may go on beyond it. How near depends on how precisely the end is known:
-that of a caller's mask to the pixel, of a silhouette within a hundredth of its longer side, of a
-box within a twentieth, and of landmarks within three tenths of the body.
+A body that ends near the border may go on beyond it. The margin depends on how precisely the end is
+known: to the pixel for a caller's mask, within a hundredth of the longer side for a silhouette,
+within a twentieth for a box, and within three tenths of the body for landmarks.
 """
 
 from collections.abc import Sequence
@@ -40,8 +40,8 @@ def extended_to_border(box: Box, frame_shape: tuple[int, ...]) -> Box:
     return Box.from_edges(*np.where(near, edges, sides).tolist())
 
 
-# Share of its extent along an edge above which a silhouette is cut: a shoe that just reaches the
-# last row is not.
+# A silhouette is cut if it touches an edge with more than this share of its extent along the edge:
+# a shoe that just reaches the last row is not cut.
 _MIN_BORDER_RUN = 0.1
 
 
@@ -64,7 +64,7 @@ _MIN_SEEN = 0.3  # Visibility from which a landmark is seen.
 
 
 def end_beyond_border(box: Box, landmarks: Landmarks, frame_shape: tuple[int, ...]) -> bool:
-    """Whether the frame cuts off a person's head or feet, so that no landmark of it is seen."""
+    """Whether the frame cuts off a person's head or feet, so that its landmarks are not visible."""
     height, width = frame_shape[:2]
     inside = ((landmarks.positions > -0.5) & (landmarks.positions < [width, height])).all(axis=1)
     seen = inside & (landmarks.visibility >= _MIN_SEEN)
@@ -97,7 +97,7 @@ def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int,
     """Landmarks of a reading; near the frame's border no more visible than MoveNet's keypoints.
 
     If the border cuts off part of a body, the landmark network squeezes the whole body into the
-    visible part and reports all of it as visible. MoveNet gives low scores to what it does not see.
+    visible part and reports all of it as visible. MoveNet gives low scores to hidden keypoints.
     """
     landmarks = reading.landmarks
     if reading.keypoints is None:

@@ -1,4 +1,4 @@
-"""What detects people: a file for each detector, all with the same method."""
+"""Detectors of people: a file for each, all with the same method."""
 
 from typing import Protocol
 
@@ -9,14 +9,14 @@ from app.vision.people import Detection
 class Detector(Protocol):
     """Detects people; thread-safe.
 
-    :class:`app.vision.detector.NetworkDetector` asks one after the other, and weights what each
-    finds by its score.
+    :class:`app.vision.detector.NetworkDetector` calls one after the other, and weights the score of
+    each.
     """
 
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect the people of a picture, best first; scores need not be probabilities.
 
         A detection without keypoints whose window is known is confirmed by the landmark network
-        before it counts as a person whom no other detector has found.
+        before it counts as a person that no other detector has found.
         """
         ...

@@ -28,7 +28,7 @@ ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
 """Stride of each grid in pixels, and anchors per cell."""
 
 _ANCHORS, _ANCHOR_VALUES = 2254, 12
-# Least score, and the overlap from which two boxes of the network are of one body.
+# Least score, and the overlap from which two boxes of the network belong to one body.
 _MIN_SCORE, _NMS_IOU = 0.3, 0.3
 
 

@@ -8,14 +8,14 @@ from app.vision.movenet import MoveNet
 from app.vision.people import Detection
 
 MIN_MOVENET_SCORE = 0.02
-"""MoveNet's lower scores are ignored."""
+"""Least score of MoveNet that counts."""
 
-# Longer side of a box, in the overview, from which people are taken from the overview; smaller ones
-# are taken from the tiles, which separate two people side by side.
+# Longer side of a box, in the overview, from which people are taken from the overview. Smaller
+# people are taken from the tiles, which separate two people side by side.
 _LARGE_PERSON_PX = 96.0
 
-# Longer side of a frame in which people who fill it are looked for, a tenth of the overview's area:
-# the network recognises them at this size, and hardly in the overview.
+# Longer side of a small picture of the frame, a tenth of the overview's area, that is searched for
+# people who fill the frame: the network recognises them at this size, and hardly in the overview.
 _GLANCE_PX = 192.0
 # Share of the frame's longer side from which a person fills it.
 _FILLING_SHARE = 0.5
@@ -35,7 +35,7 @@ class MoveNetDetector:
     small: MoveNet
 
     def detect(self, picture: Picture) -> list[Detection]:
-        """Detect people: first those in the tile that suits their size, by their scores.
+        """Detect people; detections in the tile that suits their size come first, by score.
 
         A person may be detected more than once.
         """
@@ -52,7 +52,7 @@ class MoveNetDetector:
 
 
 def _seen_in(network: MoveNet, picture: Picture, tile: Tile) -> list[Detection]:
-    """People whom the network finds in a tile, in pixels of the frame."""
+    """People that the network finds in a tile, in pixels of the frame."""
     seen = []
     for person in network.detect(picture.seen_in(tile)):
         box = tile.to_frame(person.box, picture.frame.shape)
@@ -68,7 +68,7 @@ def _longer_side(one: Detection, picture: Picture) -> float:
 
 
 def _filling(people: Iterable[Detection], picture: Picture) -> list[Detection]:
-    """Those who fill the frame."""
+    """People who fill the frame."""
     large = _FILLING_SHARE * max(picture.tiles[0].size)
     return [one for one in people if _longer_side(one, picture) >= large]
 

@@ -54,7 +54,7 @@ class Tile:
 class Picture:
     """A frame ``(H, W, 3)``, BGR, and the tiles that detectors see; the first is the overview.
 
-    There are none of a frame too thin to hold a person.
+    A frame too thin to hold a person has no tiles.
     """
 
     frame: NDArray[np.uint8]
@@ -85,7 +85,7 @@ MAX_ENLARGEMENT = 1.5
 """Largest factor by which small frames are enlarged."""
 
 MIN_SIDE_PX = 12
-"""Shortest side of the overview; thinner frames hold nobody."""
+"""Shortest side of the overview; thinner frames cannot show a person."""
 
 # Height of the smallest person wanted by default, as a share of the frame's height.
 _MIN_PERSON_SHARE = 1 / 12
