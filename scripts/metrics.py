@@ -74,6 +74,11 @@ def average_precision(table: NDArray[np.float64], people: int) -> float:
     return float((np.diff(np.concatenate([[0], hits / people])) * envelope).sum())
 
 
+def mask_iou(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
+    """Return the intersection over union of two masks."""
+    return float((mask & truth).sum() / max(1, int((mask | truth).sum())))
+
+
 def confusion(
     size: int, truth: NDArray[np.integer], answer: NDArray[np.integer]
 ) -> NDArray[np.int64]:

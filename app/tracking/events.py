@@ -6,50 +6,13 @@ Lying and raised arms follow from filtered postures, falls from a model
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.falls import FallWatch, Observation
+from app.tracking.filtering import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.results import Event, EventName, EventState
 from index.posture import POSTURES
-
-# Time constant of the low-pass filter over the frames.
-_SETTLING_S = 0.5
-# Filtered probability at which an event begins, and below which it ends.
-_BEGINS_FROM, _ENDS_BELOW = 0.5, 0.2
-
-
-class Hysteresis:
-    """A probability, low-pass filtered over ``settling_s``, and a state that follows it."""
-
-    def __init__(self, settling_s: float = _SETTLING_S) -> None:
-        self._settling_s = settling_s
-        self.level = 0.0
-        self.holds = False
-        self.since = 0.0
-
-    def update(self, timestamp: float, probability: float, seconds: float) -> EventState | None:
-        """Add a frame that counts for ``seconds``; return the change of state, if any."""
-        kept = math.exp(-seconds / self._settling_s)
-        self.level = kept * self.level + (1 - kept) * probability
-        if not self.holds and self.level >= _BEGINS_FROM:
-            self.holds, self.since = True, timestamp
-            return "begin"
-        if self.holds and self.level < _ENDS_BELOW:
-            self.holds = False
-            return "end"
-        return None
-
-    @property
-    def is_unconfirmed(self) -> bool:
-        """Whether the event has begun to show but is not certain."""
-        return not self.holds and self.level >= _ENDS_BELOW
-
-
-# Most time that a single frame counts for: just too short to begin an event.
-_MAX_STEP_S = 0.34
 
 
 class EventDetector:
@@ -77,7 +40,7 @@ class EventDetector:
         by ``reliability``, 0 to 1, the probability that the body is read correctly. ``rests`` says
         whether the person is in a zone for resting, where lying is not an event.
         """
-        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
+        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         step = reliability * elapsed
         self._last_at, self._rests = timestamp, rests
 
@@ -85,10 +48,10 @@ class EventDetector:
             return [Event(name, track_id, state, timestamp, level)] if state else []
 
         raised = float(shares[POSTURES.index("arms_raised")])
-        state = self._arms_raised.update(timestamp, raised, step)
+        state = self._arms_raised.update(raised, step)
         events = happened("arms_raised", state, self._arms_raised.level)
         lies = 0.0 if rests else float(shares[POSTURES.index("lying")])
-        state = self._lying.update(timestamp, lies, step)
+        state = self._lying.update(lies, step)
         events += happened("lying", state, self._lying.level)
         fell = self._falls.update(timestamp, observation, rests=rests)
         return (*events, *happened("fell", "instant" if fell else None, self._falls.probability))
@@ -114,5 +77,5 @@ class EventDetector:
         return tuple(
             Event(name, track_id, "unconfirmed", self._last_at or 0.0, level)
             for name, level in shown.items()
-            if level >= _ENDS_BELOW
+            if level >= ENDS_BELOW
         )

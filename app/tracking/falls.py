@@ -8,7 +8,6 @@ right are not told apart, so that neither the frame's size nor a mirror changes 
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.tracking.filtering import MAX_STEP_S, LowPass
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.odds import sigmoid
@@ -181,8 +181,7 @@ class FallModel:
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Probabilities ``(..., 2)``: fell within the window and is down; the trunk is up now."""
-        before = features.shape[:-1]
-        values = features.reshape(*before, 1, _POINTS, COLUMNS)
+        values = features.reshape(*features.shape[:-1], 1, _POINTS, COLUMNS)
         for layer, stride in enumerate(_STRIDES):
             values = np.maximum(self._layer(layer, _three_points(values, stride)), 0)
         values = values.reshape(*values.shape[:-2], 1, -1)
@@ -216,8 +215,6 @@ more, which in crowds mostly has other reasons.
 Chosen on held-out simulated tracks (docs/training.md).
 """
 
-# Time constant of the filter, and the most time that a frame counts for: no single one decides.
-_SETTLING_S, _MAX_STEP_S = 0.5, 0.34
 # Probability that the trunk is up, and the time for which it must be as high, before another fall
 # is reported.
 _UP_FROM, _UP_S = 0.5, 1.0
@@ -236,7 +233,7 @@ class FallReport:
         self, reported_from: float = REPORTED_FROM, lost_from: float = REPORTED_LOST_FROM
     ) -> None:
         self._reported_from, self._lost_from = reported_from, lost_from
-        self._level = 0.0  # the filtered probability
+        self._likely = LowPass()
         self._last_at: float | None = None
         self._up_since: float | None = None
         self.fallen = False
@@ -248,17 +245,17 @@ class FallReport:
         At the frame in which a person is ``lost``, the probability is not filtered: no other frame
         can confirm it.
         """
-        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, _MAX_STEP_S)
+        elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         self._last_at = timestamp
-        kept = 0.0 if lost else math.exp(-elapsed / _SETTLING_S)
-        self._level = kept * self._level + (1 - kept) * fell
+        likely = self._likely.update(fell, elapsed)
         if up < _UP_FROM:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp
         elif timestamp - self._up_since >= _UP_S:
             self.fallen = False
-        if self.fallen or self._level < (self._lost_from if lost else self._reported_from):
+        certain = fell >= self._lost_from if lost else likely >= self._reported_from
+        if self.fallen or not certain:
             return False
         self.fallen = True
         return True

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.events import Hysteresis
+from app.tracking.filtering import Hysteresis
 from app.tracking.results import Event, EventState
 from app.vision.geometry import Box
 
@@ -92,7 +92,7 @@ class View:
         self._learn(self._usual, grey, agreement, step, slowly=blocked is not False)
         if blocked is None:
             return []
-        return self._events(timestamp, self._blocked.update(timestamp, float(blocked), step))
+        return self._events(timestamp, self._blocked.update(float(blocked), step))
 
     def unconfirmed(self) -> list[Event]:
         """The event that had begun to show at the last frame but was not certain."""

@@ -7,7 +7,7 @@ right, and make its landmarks a little more precise where both networks agree.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 
 import cv2
 import numpy as np
@@ -172,18 +172,16 @@ class PersonReader:
 # Least quality of a reading beside others, and quality of a first reading below which no other
 # window shows a person; chosen on rendered groups.
 _MIN_QUALITY_BESIDE, _HOPELESS_QUALITY = 0.5, 0.2
+# Limbs of each side, by the parts at their ends.
 _LIMBS = (
-    ("nose", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"),
-    ("shoulder", "hip"), ("hip", "knee"), ("knee", "ankle"),
+    ("shoulder", "elbow"), ("elbow", "wrist"), ("shoulder", "hip"), ("hip", "knee"),
+    ("knee", "ankle"),
 )  # fmt: skip
-# Limbs of both sides and the lines between the sides, by their ends.
+# The same and the lines between the sides, by the rows of the keypoints at their ends.
 _LIMB_ENDS = [
+    *product(coco_rows("nose"), coco_rows("shoulder")),
     *map(coco_rows, ("shoulder", "hip")),
-    *(
-        ends
-        for limb in _LIMBS
-        for ends in np.stack(np.broadcast_arrays(*map(coco_rows, limb)), axis=-1).tolist()
-    ),
+    *(ends for limb in _LIMBS for ends in zip(*map(coco_rows, limb), strict=True)),
 ]
 # Distance from the limbs up to which a body reaches, in sizes of the body.
 _FLESH = 0.2

@@ -26,8 +26,7 @@ from scripts.datasets import (
     read_vtest,
     tight_box,
 )
-from scripts.experiments.real_poses import mask_iou
-from scripts.metrics import detection_figures, percent
+from scripts.metrics import detection_figures, mask_iou, percent
 
 Figures = dict[str, Any]
 _PASTED_PX = (100, 200)  # Heights of the people who are pasted.

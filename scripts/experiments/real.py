@@ -43,11 +43,13 @@ from scripts.experiments.real_poses import (
     cut_out,
     in_photographs,
     in_video,
-    mask_iou,
     pose_figures,
     trials_of,
 )
-from scripts.metrics import FOUND_FROM, reliability, true_positives
+from scripts.metrics import FOUND_FROM, mask_iou, reliability, true_positives
+
+STEP = 4
+"""Every so many-th frame of Pose2Sim is asked: neighbours are alike."""
 
 SCORES = {"default": MIN_DETECTION_SCORE, "sure": 0.5}
 """Minimum detection scores."""
@@ -119,7 +121,7 @@ def measure_pose2sim(
     together: list[Trial] = []
     found: dict[str, dict[str, Figures]] = {}
     for camera in POSE2SIM_CAMERAS:
-        frames = read_pose2sim(folder, camera, 4)
+        frames = read_pose2sim(folder, camera, STEP)
         shown = in_video(frames, estimator)
         trials = {way: trials_of(shown, estimator, way) for way in WAYS}
         together += trials[BOTH]

@@ -72,11 +72,6 @@ class Shown:
     reference: Reference
 
 
-def mask_iou(mask: NDArray[np.bool_], truth: NDArray[np.bool_]) -> float:
-    """Return the intersection over union of two masks."""
-    return float((mask & truth).sum() / max(1, int((mask | truth).sum())))
-
-
 def cut_out(
     estimator: Estimator, frame: NDArray[np.uint8], boxes: Sequence[Box]
 ) -> list[Silhouette | None]:

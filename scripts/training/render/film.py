@@ -232,7 +232,7 @@ def _companion(
     materials: Materials,
     generator: Generator,
 ) -> Actor:
-    """Another person who walks or stands nearby."""
+    """A second person, walking or standing nearby."""
     walk = motions.recorded(generator, walks=bool(generator.random() < 0.7))
     other = Actor.of(people[int(generator.integers(len(people)))], walk, materials, generator)
     turn = about_vertical(np.array([generator.uniform(0, 6.28)]))[0]

@@ -176,16 +176,16 @@ def alarms(times: NDArray[np.float64], rows: NDArray[np.float64]) -> Iterator[fl
             yield time
 
 
-@pytest.mark.parametrize("step", [1, 3, 7])
+@pytest.mark.parametrize(("step", "least"), [(1, 0.7), (3, 0.6), (7, 0.55)])
 def test_most_simulated_falls_are_reported_at_any_rate_and_hardly_anything_else(
-    tracks: list[tuple[NDArray[np.float64], NDArray[np.float64], float]], step: int
+    tracks: list[tuple[NDArray[np.float64], NDArray[np.float64], float]], step: int, least: float
 ) -> None:
     found = false = 0
     for times, rows, fell in tracks:
         told = list(alarms(times[::step], rows[::step]))
         found += any(time >= fell for time in told)
         false += any(time < fell for time in told)
-    assert found >= 0.55 * sum(np.isfinite(fell) for _, _, fell in tracks)
+    assert found >= least * sum(np.isfinite(fell) for _, _, fell in tracks)
     assert false <= 0.05 * len(tracks)
 
 
@@ -227,6 +227,7 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
 def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
     model = shipped_model()
     assert MODEL.stat().st_size < 170_000
+    assert sum(map(np.size, model.weights)) < 3 * 30_000
     wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
     with pytest.raises(ValueError, match="expected weights Nx57x"):
         FallModel(wrong, model.offsets)

@@ -25,18 +25,18 @@ def test_the_share_that_another_person_covers(left: float, share: float) -> None
 
 
 @pytest.mark.parametrize("other", [seen(BEHIND, at=0.5), seen(BEHIND, named=False)])
-def test_who_is_not_seen_or_may_be_nobody_covers_nobody(other: Track) -> None:
+def test_people_out_of_sight_or_without_an_identity_cover_nothing(other: Track) -> None:
     track = seen(BEHIND)
     assert covered_share(track, BEHIND, [track, other], 1.0) == 0
 
 
 @pytest.mark.parametrize(("left", "hides"), [(100, True), (118, True), (122, False)])
-def test_who_is_covered_by_half_is_hidden(left: float, hides: bool) -> None:
+def test_a_person_covered_by_half_is_hidden(left: float, hides: bool) -> None:
     track, other = seen(BEHIND, at=0.5), seen(Box(left, 100, 40, 100))
     assert (hidden_box(track, [track, other], SIZE, 1.0) == BEHIND) == hides
 
 
-def test_nobody_is_expected_for_long_or_beyond_the_frame() -> None:
+def test_a_hidden_person_is_not_expected_for_long_or_beyond_the_frame() -> None:
     late = 0.5 + PREDICTED_FOR_S + 0.1
     track = seen(BEHIND, at=0.5)
     assert hidden_box(track, [track, seen(BEHIND, at=late)], SIZE, late) is None
