@@ -89,7 +89,7 @@ def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture
     ward.broker.refuse()
     eventually(lambda: not len(ward.outbox))
     eventually(ward.shows(people="2"))
-    assert ward.subscriber.events == [message(1, "entered")]
+    eventually(lambda: ward.subscriber.events == [message(1, "entered")])
     assert (log + capsys.readouterr().err).count("refuses") == 2
 
 
