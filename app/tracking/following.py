@@ -3,8 +3,9 @@
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
 to. At intervals, and if a track's window no longer shows a person, the whole frame is searched, to
 find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
-have drifted off. While nothing changes around tracked people, searches are rarer. In an empty
-scene, the coefficients of a JPEG show whether anything changes.
+have drifted off. While nothing changes around tracked people, searches are rarer, and people at
+rest are not read again between two of them. In an empty scene, the coefficients of a JPEG show
+whether anything changes.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -75,7 +77,7 @@ class TrackedPeopleDetector:
         in_window : dict
             Maps the position of each person found in a track's window to that track.
         """
-        found, beside, followed = self._targets(upload.frame, timestamp, tracks, job)
+        found, beside, followed, resting = self._targets(upload.frame, timestamp, tracks, job)
         targets = [*found, *(_followed(*one, timestamp) for one in followed.items())]
         people, shown = self._finder.observe(
             upload, targets, job, perhaps_beside=beside, tight=True
@@ -89,7 +91,8 @@ class TrackedPeopleDetector:
         for row, track in zip(shown[len(found) :], followed, strict=True):
             if row is not None and row not in expected:
                 in_window.setdefault(row, track)
-        return people, in_window
+        in_window |= dict(enumerate(resting, start=len(people)))
+        return [*people, *resting.values()], in_window
 
     def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
         """Whether a JPEG file alone shows that a scene without tracks is still empty.
@@ -107,10 +110,11 @@ class TrackedPeopleDetector:
 
     def _targets(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
-    ) -> tuple[list[Target], list[Detection], Expected]:
-        """People found by a search, those perhaps beside them, and tracks to be read in windows.
+    ) -> _Wanted:
+        """What is to be read in a frame.
 
-        If the windows show all people that a search could find, the frame is not searched.
+        If the windows show all people that a search could find, the frame is not searched. Then,
+        people at rest are not read again.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
@@ -118,12 +122,13 @@ class TrackedPeopleDetector:
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, bool(tracks), still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
-            expected = self._shown(frame, timestamp, expected, job)
-            gone = [
-                one for one in state.expected if one.track_id is not None and one not in expected
-            ]
+            resting = _resting(frame, timestamp, expected)
+            moving = {track: window for track, window in expected.items() if track not in resting}
+            shown = self._shown(frame, timestamp, moving, job)
+            gone = [one for one in moving if one.track_id is not None and one not in shown]
             if not any(_may_be_there(one, frame.shape) for one in gone):
-                return [], [], expected
+                return _Wanted([], [], shown, resting)
+            expected = shown | {track: expected[track] for track in resting}
             lost = list(dict.fromkeys([*lost, *gone]))
         return self._searched(frame, timestamp, expected, lost, job)
 
@@ -141,7 +146,7 @@ class TrackedPeopleDetector:
         expected: Expected,
         lost: Sequence[Track],
         job: Job,
-    ) -> tuple[list[Target], list[Detection], Expected]:
+    ) -> _Wanted:
         """Search a frame, with a lower threshold near lost people until their tracks end.
 
         A detection is read in the window of the track that expects a person there; a window is
@@ -158,15 +163,35 @@ class TrackedPeopleDetector:
             near = max(unseen, key=lambda track: places[track].iou(one.box), default=None)
             is_there = near is not None and is_expected(one.box, places[near])
             targets.append(Target(one, unseen.pop(near) if near and is_there else None))
-        return targets, beside, unseen
+        return _Wanted(targets, beside, unseen, {})
 
     def _shown(
         self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
-    ) -> Expected:
+    ) -> dict[Track, PersonWindow | PoseReading]:
         """Read tracks in their windows; return those that still show their person, with reading."""
         targets = [_followed(*one, timestamp) for one in expected.items()]
         readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
         return {track: reading for track, reading in readings if reading is not None}
+
+
+class _Wanted(NamedTuple):
+    """What is to be read in a frame, and people at rest, who are as they were."""
+
+    found: list[Target]  # by a search
+    beside: list[Detection]  # perhaps beside them
+    followed: Expected  # tracks in their windows
+    resting: Mapping[Track, Person]
+
+
+def _resting(frame: NDArray[np.uint8], timestamp: float, expected: Expected) -> dict[Track, Person]:
+    """The tracked people in whose places nothing has changed, and no other person is expected."""
+    places = {track: track.box_filter.predict(timestamp) for track in expected}
+    resting = {}
+    for track, place in places.items():
+        alone = not any(place.intersection(places[other]) for other in places if other != track)
+        if alone and (person := track.rests(frame)) is not None:
+            resting[track] = person
+    return resting
 
 
 @dataclass(frozen=True)

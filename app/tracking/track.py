@@ -76,6 +76,7 @@ class Track:
         """Whether another person was at the expected place since the last sighting."""
         self._patch, self._rests_from = person.patch, -math.inf
         self._still, self._still_from = person.patch, timestamp
+        self._estimated: Person | None = None
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the next frame is read."""
         self.beside = person.beside
@@ -134,6 +135,23 @@ class Track:
         boxes = self.box_filter.predict(timestamp), self.box_filter.seen
         return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
 
+    @property
+    def outline_bytes(self) -> int:
+        """Memory of the person's outline, which is kept from frame to frame."""
+        silhouette = self._estimated and self._estimated.silhouette
+        return silhouette.crop.nbytes if silhouette else 0
+
+    def rests(self, frame: NDArray[np.uint8]) -> Person | None:
+        """The person as estimated before, if nothing has changed there; otherwise None."""
+        person = self._estimated
+        if person is None or person.source != "detector" or person.patch is None:
+            return None
+        return person if person.patch.is_unchanged_in(frame) else None
+
+    def forget_estimate(self) -> None:
+        """Estimate the person anew in the next frame, even if nothing changes."""
+        self._estimated = None
+
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
         """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
@@ -157,6 +175,7 @@ class Track:
         as well.
         """
         track_id = self._known_id()
+        self._estimated = person
         self._compare(person, frame, covered, timestamp)
         body, shares, smoothed = SeenBody.of(person), None, None
         if body is not None:

@@ -122,6 +122,13 @@ def resized(picture: Picture, size: tuple[int, int]) -> Picture:
     return np.asarray(cv2.resize(picture, size, interpolation=interpolation), np.uint8)
 
 
+def at_rest(picture: Picture) -> tuple[Picture, ...]:
+    """Return a film in which nothing moves, with the noise of a sensor: two grey levels."""
+    rng = np.random.default_rng(0)
+    noise = (rng.normal(0, 2, picture.shape) for _ in range(FILM))
+    return tuple(np.clip(picture + one, 0, 255).astype(np.uint8) for one in noise)
+
+
 def back_and_forth(film: Sequence[Picture]) -> list[bytes]:
     """Encode a film and its way back, to be repeated."""
     return [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
@@ -157,7 +164,8 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         for query, parts in (("?evidence=silhouette", masked), ("", masked), ("", boxed))
     )
     large = pose_calls(resized(street.empty, LARGE))
-    calls = [camera_calls(name, getattr(street, name)) for name in ("film", "tall")]
+    films = {"film": street.film, "tall": street.tall, "rest": at_rest(street.tall[0])}
+    calls = [camera_calls(name, film) for name, film in films.items()]
     return {
         "four_walkers": Case(f"{size}, four walkers", pose_calls(*street.busy), 1.4),
         "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", pose_calls(street.empty), 0.5),
@@ -168,6 +176,7 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         "two_people": Case("1080x1920, two people", pose_calls(*street.tall), 1.1),
         "camera": Case(f"{size}, next frame of a camera", calls[0], 0.9),
         "tall_camera": Case("1080x1920, next frame of a camera", calls[1], 0.7),
+        "rest_camera": Case("1080x1920, the same, both people at rest", calls[2], 0.35),
     }
 
 

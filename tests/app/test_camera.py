@@ -260,7 +260,7 @@ def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
 @pytest.mark.parametrize("fps", [10, 40])
 def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, fps: int) -> None:
     send(session, 0.0)  # The pictures of the camera are no part of a track.
-    seen: set[int] = set()
+    seen: dict[int, object] = {}  # They stay alive, so that no later object has their identity.
     for shared in (session, actions.shipped_model(), falls.shipped_model()):
         held_bytes(shared, seen)
     for frame in range(round(3.2 * fps)):
@@ -271,11 +271,11 @@ def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, f
         assert held > session.memory_bytes / 2
 
 
-def held_bytes(value: object, seen: set[int]) -> int:
+def held_bytes(value: object, seen: dict[int, object]) -> int:
     """Bytes of an object and of all that it holds but what was seen before."""
     if id(value) in seen:
         return 0
-    seen.add(id(value))
+    seen[id(value)] = value
     if isinstance(value, np.ndarray):
         return value.nbytes + 112
     held: list[object] = [*getattr(value, "__dict__", {}).values()]

@@ -73,6 +73,39 @@ def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
     assert reader.passes == before + 2
 
 
+def test_a_person_at_rest_is_read_once_until_the_next_search(
+    session: CameraSession, drawn: Estimator
+) -> None:
+    reader = drawn.models.reader
+    assert isinstance(reader, ColourReader)
+    first = send(session, 0.0, (0, 10), (1, 200)).persons[1]
+    before = reader.passes
+    for step in range(1, 4):
+        # The other one walks.
+        result = send(session, step / 10, (0, 10 + 3 * step), (1, 200))
+        assert ids(result) == [1, 2]
+        assert result.persons[1].box == first.box
+        assert reader.passes == before + step
+    send(session, 0.35, (0, 22), (1, 203))
+    assert reader.passes == before + 3 + 2
+    # Where people meet, both are read.
+    send(session, 0.38, (0, 180), (1, 203))
+    passes = reader.passes
+    send(session, 0.39, (0, 180), (1, 203))
+    assert reader.passes >= passes + 2
+
+
+def test_a_person_at_rest_is_estimated_anew_if_something_else_is_asked(
+    session: CameraSession, drawn: Estimator
+) -> None:
+    reader = drawn.models.reader
+    assert isinstance(reader, ColourReader)
+    frame, before = draw((0, 100)), reader.passes
+    for time, n, passes in ((0.0, 3, 1), (0.1, 3, 1), (0.2, 0, 2), (0.3, 0, 2)):
+        session.process(Upload(frame), time, n, Job())
+        assert reader.passes == before + passes
+
+
 def decoded(drawn: Estimator, *people: tuple[int, int]) -> DecodedUpload:
     return drawn.decode(Upload(draw(*people)), Job())
 
