@@ -198,9 +198,9 @@ def crowd(library: Library, generator: Generator) -> Scene:
 
 def _rows(library: Library) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     falls = np.isfinite(library.falls)
-    from scripts.training.motions import DAILY
+    from scripts.training.motions import DAILY, DROP
 
-    daily = np.isin(library.kinds, list(DAILY))
+    daily = np.isin(library.kinds, [*DAILY, DROP])
     return np.flatnonzero(falls), np.flatnonzero(daily), np.flatnonzero(~falls & ~daily)
 
 

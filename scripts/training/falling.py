@@ -10,7 +10,7 @@ import importlib.util
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -22,8 +22,9 @@ from index.build.motion import Clip
 FPS = 30
 """Of clips and of the falls."""
 
-FallKind = Literal["faint", "trip", "slip", "push", "knee", "seat", "wall", "bed"]
+FallKind = Literal["faint", "trip", "slip", "push", "knee", "seat", "wall", "bed", "drop"]
 FALLS: tuple[FallKind, ...] = ("faint", "trip", "slip", "push", "knee", "seat", "wall", "bed")
+"""Ways to the ground; a ``drop`` leads onto a bed or a sofa, which is daily life."""
 
 BONE_OF_BODY = {
     "root": "Hips", "lhipjoint": "LHipJoint", "lfemur": "LeftUpLeg", "ltibia": "LeftLeg",
@@ -47,13 +48,15 @@ _SEAT_M, _BED_M = (0.38, 0.5), (0.3, 0.6)
 class Fall:
     """World rotations ``(F, B, 3, 3)`` of a clip's bones, and positions ``(F, 3)`` of the pelvis.
 
-    ``down`` is the frame from which the body is on the ground; ``ends_down`` says whether it stays.
+    ``down`` is the frame from which the body is on the ground; ``ends_down`` says whether it stays,
+    ``ends_on`` whether it stays on the support instead.
     """
 
     rotations: NDArray[np.float64]
     positions: NDArray[np.float64]
     down: int
     ends_down: bool
+    ends_on: bool
 
 
 def humanoid() -> Path:
@@ -65,9 +68,27 @@ def humanoid() -> Path:
     return folder / "locomotion" / "walkers" / "assets" / "humanoid_CMU_V2020.xml"
 
 
-@lru_cache(maxsize=4)
-def _model(support: Literal["none", "box", "wall"]) -> Any:
-    """The humanoid over a floor, with a seat or bed under it, or a wall behind it."""
+class _Support(NamedTuple):
+    """A seat, bed or wall that carries or stops a body: a box, half sizes and metres, z up."""
+
+    half: tuple[float, float, float]
+    place: tuple[float, float, float]
+    yaw: float
+
+    @property
+    def top(self) -> float:
+        """Height of its upper side."""
+        return self.place[2] + self.half[2]
+
+
+@lru_cache(maxsize=1)
+def _alone() -> Any:
+    """The humanoid over a floor."""
+    return _model(None)
+
+
+def _model(support: _Support | None) -> Any:
+    """The humanoid over a floor, with what carries or stops it."""
     import mujoco
 
     spec = mujoco.MjSpec.from_file(str(humanoid()))
@@ -76,9 +97,10 @@ def _model(support: Literal["none", "box", "wall"]) -> Any:
     floor = spec.worldbody.add_geom()
     floor.type, floor.size = mujoco.mjtGeom.mjGEOM_PLANE, [30, 30, 0.1]
     things = [floor]
-    if support != "none":
-        box = spec.worldbody.add_geom(name="support")
-        box.type, box.size = mujoco.mjtGeom.mjGEOM_BOX, [0.5, 0.5, 0.2]
+    if support is not None:
+        box = spec.worldbody.add_geom()
+        box.type, box.size, box.pos = mujoco.mjtGeom.mjGEOM_BOX, support.half, support.place
+        box.quat = [np.cos(support.yaw / 2), 0, 0, np.sin(support.yaw / 2)]
         things.append(box)
     for thing in things:
         thing.condim, thing.priority, thing.friction = 3, 2, [0.7, 0.005, 0.0001]
@@ -95,17 +117,17 @@ def fall_from(
     """
     import mujoco
 
-    model = _model("box" if kind in ("seat", "bed") else "wall" if kind == "wall" else "none")
-    data = mujoco.MjData(model)
     before = max(frame - 1, 0)
-    start, ahead = (_posed(model, clip, row) for row in (before, frame))
-    velocity = np.zeros(model.nv)
+    start, ahead = (_posed(_alone(), clip, row) for row in (before, frame))
+    velocity = np.zeros(_alone().nv)
     if frame > before:
-        mujoco.mj_differentiatePos(model, velocity, 1 / FPS, start, ahead)
-    data.qpos[:] = ahead
+        mujoco.mj_differentiatePos(_alone(), velocity, 1 / FPS, start, ahead)
+    position, support = _placed(ahead, kind, generator)
+    model = _model(support)
+    data = mujoco.MjData(model)
+    data.qpos[:] = position
     data.qvel[:] = np.clip(velocity, -4, 4)
-    _set_scene(model, data, kind, generator)
-    _disturb(data, kind, generator)
+    _disturb(data, kind, support, generator)
     tone = float(np.exp(generator.uniform(np.log(0.02), np.log(0.6))))
     hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE)
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, row) for row in hinges]
@@ -144,8 +166,13 @@ def fall_from(
         tops[row] = max(trunk)
     _follow_hands(clip, rotations)
     low = tops < 0.55
+    if kind in ("seat", "bed"):
+        low &= positions[:, 1] < 0.25  # Of low beds, not on them.
     down = int(np.argmax(low)) if low.any() else frames
-    return Fall(rotations, positions, down, bool(low[-FPS:].all()))
+    over = positions[-FPS:, 1] - (support.top if support is not None else np.inf)
+    ends_on = bool(((over > -0.05) & (over < 0.4)).all())
+    stable = not any(warning.number for warning in data.warning)
+    return Fall(rotations, positions, down, stable and bool(low[-FPS:].all()), stable and ends_on)
 
 
 def _rest(model: Any) -> NDArray[np.float64]:
@@ -188,59 +215,73 @@ def _posed(model: Any, clip: Clip, frame: int) -> NDArray[np.float64]:
     return np.asarray(position)
 
 
-def _set_scene(model: Any, data: Any, kind: FallKind, generator: Generator) -> None:
-    """Put the feet on the floor, the body on a seat or bed, or a wall behind the back."""
+def _placed(
+    position: NDArray[np.float64], kind: FallKind, generator: Generator
+) -> tuple[NDArray[np.float64], _Support | None]:
+    """The same pose with the feet on the floor or the body on a seat or bed; what is beside it."""
     import mujoco
 
+    model, data = _alone(), mujoco.MjData(_alone())
+    data.qpos[:] = position
     mujoco.mj_forward(model, data)
     own = np.flatnonzero(model.geom_bodyid > 0)
     lowest = min(float(data.geom_xpos[geom][2] - model.geom_size[geom][0]) for geom in own)
-    data.qpos[2] -= lowest - 0.005
-    root = data.qpos[:3]
+    position = position.copy()
+    position[2] -= lowest - 0.005
     facing = data.xmat[mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, "root")].reshape(3, 3)
-    ahead = facing @ np.array([0.0, 0.0, 1.0])
-    ahead[2] = 0
+    # Beds lie along the trunk.
+    ahead = (facing @ np.eye(3)[1 if kind == "bed" else 2])[:2]
     ahead /= max(float(np.linalg.norm(ahead)), 1e-6)
-    if kind not in ("seat", "bed", "wall"):
-        return
-    box = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, "support")
     yaw = float(np.arctan2(ahead[1], ahead[0]))
-    model.geom_quat[box] = [np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]
+
+    def box(half: tuple[float, float, float], forward: float, left: float = 0.0) -> _Support:
+        x, y = (position[:2] + forward * ahead + left * np.array([-ahead[1], ahead[0]])).tolist()
+        return _Support(half, (x, y, half[2]), yaw)
+
     if kind == "wall":
-        model.geom_size[box], model.geom_pos[box] = [0.1, 1.5, 1.2], root - 0.3 * ahead
-        model.geom_pos[box][2] = 1.2
-        return
+        return position, box((0.1, 1.5, 1.2), -0.3)
+    if kind not in ("seat", "bed", "drop"):
+        return position, None
     height = generator.uniform(*(_SEAT_M if kind == "seat" else _BED_M)) / 2
+    if kind == "drop":
+        # A bed or sofa, along or across, behind the legs or before them.
+        reach = generator.uniform(0.35, 1.0)
+        side = -1 if generator.random() < 0.7 else 1
+        return position, box((reach, 1.35 - reach, height), side * (reach + 0.2))
     if kind == "seat":
-        model.geom_size[box] = [0.22, 0.25, height]
-        model.geom_pos[box] = [*(root - 0.1 * ahead)[:2], height]
-        data.qpos[2] = 2 * height + 0.13
-    else:
-        model.geom_size[box] = [1.0, 0.45, height]
-        model.geom_pos[box] = [*root[:2], height]
-        data.qpos[2] = 2 * height + 0.18
+        position[2] = 2 * height + 0.13
+        return position, box((0.22, 0.25, height), -0.1)
+    position[2] = 2 * height + 0.18
+    # People who roll out lie near an edge.
+    aside = generator.uniform(0.2, 0.42) * generator.choice([-1, 1])
+    return position, box((1.0, 0.45, height), 0.0, aside)
 
 
-def _disturb(data: Any, kind: FallKind, generator: Generator) -> None:
+def _disturb(data: Any, kind: FallKind, support: _Support | None, generator: Generator) -> None:
     """Add the velocities with which a fall begins."""
     flat = data.qvel[:2].copy()
     speed = float(np.linalg.norm(flat))
     way = generator.uniform(-np.pi, np.pi)
     if kind in ("trip", "slip") and speed > 0.3:
         way = float(np.arctan2(flat[1], flat[0])) + generator.normal(0, 0.3)
+    if support is not None and kind in ("bed", "drop"):
+        x, y = (support.place - data.qpos[:3])[:2] * (1 if kind == "drop" else -1)
+        way = float(np.arctan2(y, x)) + generator.normal(0, 0.2)
     direction = np.array([np.cos(way), np.sin(way)])
     tip = np.array([-direction[1], direction[0], 0.0])
     push, turn = {
         "faint": (0.25, 0.5), "trip": (0.8, 2.5), "slip": (0.5, -2.5), "push": (1.6, 1.5),
         "knee": (0.4, 0.8), "seat": (0.9, 1.2), "wall": (0.3, -0.4), "bed": (1.3, 0.0),
+        "drop": (0.9, 1.5),
     }[kind]  # fmt: skip
     size = generator.uniform(0.6, 1.5)
     data.qvel[:2] += push * size * direction
     data.qvel[3:6] += turn * size * tip + generator.normal(0, 0.5, 3)
     if kind == "bed":
-        data.qvel[3:6] += (
-            generator.uniform(1.5, 5) * generator.choice([-1, 1]) * np.array([0, 1.0, 0])
-        )
+        # About the trunk, so that the upper side goes where the body goes.
+        trunk = Rotation.from_quat(data.qpos[3:7], scalar_first=True).apply([0.0, 1.0, 0.0])
+        over = direction[0] * trunk[1] - direction[1] * trunk[0]
+        data.qvel[4] += generator.uniform(1.5, 5) * np.sign(over)
 
 
 def _follow_hands(clip: Clip, rotations: NDArray[np.float64]) -> None:

@@ -17,7 +17,7 @@ from scripts.training.motions import Motion, Motions
 RATE = 15
 """Frames a second that are kept."""
 
-COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120)}
+COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120), "drop": (200, 40)}
 """Motions by kind, of training and of held-out subjects."""
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
@@ -58,8 +58,8 @@ class Library:
                 generator = np.random.default_rng([seed, number, len(made)])
                 one = None
                 while one is None:
-                    if kind == "fall":
-                        one = motions.fall(generator)
+                    if kind in ("fall", "drop"):
+                        one = motions.fall(generator, "drop" if kind == "drop" else None)
                     elif kind == "daily":
                         one = motions.daily(generator)
                     else:

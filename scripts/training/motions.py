@@ -79,6 +79,9 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
 }
 """Daily life from pose to pose, and what carries those who sit and lie."""
 
+DROP = "drop"
+"""Daily life that is simulated: people let themselves fall onto a bed or a sofa."""
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -211,7 +214,10 @@ class Motions:
                       held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
 
     def fall(self, generator: Generator, kind: FallKind | None = None) -> Motion | None:
-        """Simulate a person who falls; None if they do not stay on the ground."""
+        """Simulate a person who falls; None if they do not stay on the ground.
+
+        A ``drop`` ends on a bed or sofa, and is daily life; None if it does not.
+        """
         kind = kind or FALLS[generator.integers(len(FALLS))]
         before_s = generator.uniform(3.0, 4.0)
         support: Support | None = None
@@ -242,15 +248,22 @@ class Motions:
             rotations, positions = before.rotations[some], before.positions[some]
         start = Clip(**{**vars(clip), "rotations": rotations[-2:], "positions": positions[-2:]})
         fall = fall_from(start, 1, kind, generator)
+        drop = fall.positions[0] - positions[-1]
+        positions = np.concatenate(
+            [positions + drop * [0, 1, 0], fall.positions - drop * [1, 0, 1]]
+        )
+        begun, rotations = len(rotations), np.concatenate([rotations, fall.rotations])
+        if kind == "drop":
+            held = len(rotations) - 1
+            return (
+                Motion(DROP, clip, rotations, positions, support="bed", held=held)
+                if fall.ends_on
+                else None
+            )
         if not fall.ends_down or fall.down >= len(fall.positions):
             return None
-        drop = fall.positions[0] - positions[-1]
-        positions = positions + drop * [0, 1, 0]
-        after = fall.positions - drop * [1, 0, 1]
-        return Motion(
-            f"fall-{kind}", clip, np.concatenate([rotations, fall.rotations]),
-            np.concatenate([positions, after]), len(rotations), len(rotations) + fall.down, support,
-        )  # fmt: skip
+        down = begun + fall.down
+        return Motion(f"fall-{kind}", clip, rotations, positions, begun, down, support)
 
 
 def _from_origin(
