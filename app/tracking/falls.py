@@ -56,7 +56,7 @@ class Observation:
         Rows and columns.
     posture : (6,) float64 array
         Probabilities of :data:`app.vision.judgement.FRAME_POSTURES`; less than 1 in sum where
-        perhaps nobody is there.
+        the window may show no person.
     right : float
         Probability that the landmarks are right.
     hips_y : float or None
@@ -280,7 +280,7 @@ class FallWatch:
     def update(self, timestamp: float, observation: Observation, *, rests: bool = False) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
 
-        Nobody falls who ``rests``, in a zone for it.
+        A person who ``rests``, in a zone for it, does not fall.
         """
         return self.see(timestamp, observation.row(), rests=rests)
 
