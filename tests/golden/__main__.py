@@ -2,7 +2,15 @@
 
 import sys
 
-from tests.golden.answers import FOLDER, ask_all, differences, file_of, pretty, read
+from tests.golden.answers import (
+    FOLDER,
+    Conversation,
+    differences,
+    file_of,
+    pretty,
+    read,
+    services,
+)
 from tests.golden.requests import kept_requests
 
 SHOWN = 12
@@ -11,7 +19,10 @@ SHOWN = 12
 def main() -> int:
     """Ask, compare, write; answers that agree within the tolerance are left as they are."""
     FOLDER.mkdir(exist_ok=True)
-    got, changed = ask_all(), 0
+    with services() as clients:
+        conversation = Conversation(clients)
+        got = {one.name: conversation.answer(one) for one in kept_requests()}
+    changed = 0
     for request in kept_requests():
         stored, answer = read(request.name), got[request.name]
         found = list(differences(stored, answer, request.exact))

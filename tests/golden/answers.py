@@ -52,19 +52,30 @@ def services() -> Iterator[Mapping[str, TestClient]]:
         yield {"open": client, "locked": TestClient(create_app(locked))}
 
 
-def ask_all() -> dict[str, Any]:
-    """Send all requests, one after the other; return the answers that are kept by their names."""
-    answers = {}
-    with services() as clients:
-        for request in requests():
-            response = clients[request.service].request(
-                request.method, request.path, params=request.params, **request.options
-            )
-            if request.kept:
-                answers[request.name] = answer_of(request, response)
-            else:
-                assert response.status_code == 200, response.text
-    return answers
+class Conversation:
+    """Requests to the services, each sent once, when its answer or a later one is asked for."""
+
+    def __init__(self, clients: Mapping[str, TestClient]) -> None:
+        self._clients = clients
+        self._waiting = list(requests())
+        self._answers: dict[str, dict[str, Any]] = {}
+
+    def answer(self, request: Request) -> dict[str, Any]:
+        """The answer to a request; earlier requests about the same camera are sent before it."""
+        while request.name not in self._answers:
+            first = next(one for one in self._waiting if one.camera == request.camera)
+            self._waiting.remove(first)
+            self._answers[first.name] = self._send(first)
+        return self._answers[request.name]
+
+    def _send(self, request: Request) -> dict[str, Any]:
+        response = self._clients[request.service].request(
+            request.method, request.path, params=request.params, **request.options
+        )
+        if request.kept:
+            return answer_of(request, response)
+        assert response.status_code == 200, response.text
+        return {}
 
 
 def answer_of(request: Request, response: Any) -> dict[str, Any]:

@@ -43,6 +43,12 @@ class Request:
     kept: bool = True
     options: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def camera(self) -> str:
+        """The camera, of which the answer to one request depends on the requests before it."""
+        _, place, *names = self.path.split("/")
+        return names[0] if place == "cameras" else self.name
+
 
 @cache
 def requests() -> tuple[Request, ...]:

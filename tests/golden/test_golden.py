@@ -1,24 +1,27 @@
 """Every request of the table has its golden answer."""
 
 import copy
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
-from tests.golden.answers import FOLDER, ask_all, differences, read
+from tests.golden.answers import FOLDER, Conversation, differences, read, services
 from tests.golden.requests import Request, kept_requests
 
 SHOWN = 20
 
 
 @pytest.fixture(scope="module")
-def got() -> dict[str, Any]:
-    return ask_all()
+def conversation() -> Iterator[Conversation]:
+    with services() as clients:
+        yield Conversation(clients)
 
 
 @pytest.mark.parametrize("request_", kept_requests(), ids=lambda request: request.name)
-def test_the_answer_is_the_golden_one(got: dict[str, Any], request_: Request) -> None:
-    found = list(differences(read(request_.name), got[request_.name], request_.exact))
+def test_the_answer_is_the_golden_one(conversation: Conversation, request_: Request) -> None:
+    answer = conversation.answer(request_)
+    found = list(differences(read(request_.name), answer, request_.exact))
     assert not found, "\n".join([f"{len(found)} differences", *found[:SHOWN]])
 
 
