@@ -76,21 +76,18 @@ MIN_VISIBLE_SCORE = 0.25
 """Score from which a keypoint of MoveNet is visible."""
 
 
-def _nearest_keypoint(landmark: str) -> int:
-    """Row of the COCO keypoint at, or nearest along the body to, a landmark."""
-    if landmark.startswith("mouth"):
-        return COCO_NAMES.index("nose")
-    side, _, part = landmark.partition("_")
-    if part.startswith("eye"):
-        part = "eye"
-    elif part in ("pinky", "index", "thumb"):
-        part = "wrist"
-    elif part in ("heel", "foot_index"):
-        part = "ankle"
-    return COCO_NAMES.index(f"{side}_{part}" if part else side)
-
-
-_NEAREST_KEYPOINTS = [_nearest_keypoint(name) for name in LANDMARK_NAMES]
+# Landmarks that are no COCO keypoints, and the keypoint nearest along the body.
+_NEAREST = {"mouth_left": "nose", "mouth_right": "nose"} | {
+    f"{side}_{part}": f"{side}_{nearest}"
+    for side in ("left", "right")
+    for nearest, parts in (
+        ("eye", ("eye_inner", "eye_outer")),
+        ("wrist", ("pinky", "index", "thumb")),
+        ("ankle", ("heel", "foot_index")),
+    )
+    for part in parts
+}
+_NEAREST_KEYPOINTS = [COCO_NAMES.index(_NEAREST.get(name, name)) for name in LANDMARK_NAMES]
 
 
 def attenuate_visibility_at_border(reading: PoseReading, frame_shape: tuple[int, ...]) -> Landmarks:
