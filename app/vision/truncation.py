@@ -66,7 +66,8 @@ _MIN_SEEN = 0.3  # Visibility from which a landmark is seen.
 def end_beyond_border(box: Box, landmarks: Landmarks, frame_shape: tuple[int, ...]) -> bool:
     """Whether the frame cuts off a person's head or feet, so that its landmarks are not visible."""
     height, width = frame_shape[:2]
-    inside = ((landmarks.positions > -0.5) & (landmarks.positions < [width, height])).all(axis=1)
+    end = np.array([width, height]) - 0.5
+    inside = ((landmarks.positions > -0.5) & (landmarks.positions < end)).all(axis=1)
     seen = inside & (landmarks.visibility >= _MIN_SEEN)
     is_whole = seen[_HEAD].any() and seen[_FEET].any()
     return ends_at_border(box, frame_shape) and not is_whole

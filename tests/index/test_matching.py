@@ -176,6 +176,17 @@ class TestRolledQueries:
             frame = np.array(silhouette.shape[::-1]) - 1
             assert joint_error(frame - there.points_normalised, here.points_normalised) < 1
 
+    def test_landmarks_are_rotated_as_the_silhouette_is(self, ground_index: PoseIndex) -> None:
+        for number in rolled_entries(ground_index)[::4]:
+            roll_deg, entry = roll_of(ground_index, number), ground_index.entry(number)
+            landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
+            silhouette = ground_index.silhouette(number)
+            found = likeliest(
+                match_landmarks(ground_index, silhouette, 3, landmarks, roll_deg=roll_deg)
+            )
+            assert joint_error(found.points_normalised, entry.points_normalised) < 3
+            assert joint_error(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
+
 
 def likeliest(found: Match) -> PoseHypothesis:
     best = found.hypotheses[0]
@@ -238,6 +249,18 @@ def test_no_hypothesis_is_likelier_right_than_its_heading(
     assert any(limited) and not all(limited)
 
 
+@pytest.mark.parametrize("number", [40, 301])
+def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
+    toy_index: PoseIndex, number: int
+) -> None:
+    entry = toy_index.entry(number, mirrored=True)
+    silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
+    landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
+    best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
+    assert (best.entry_id, best.mirrored) == (number, True)
+    assert best.outline_distance_px == pytest.approx(0, abs=1e-6)
+
+
 def test_landmarks_decide_between_left_and_right(
     toy_index: PoseIndex, new_views: list[View]
 ) -> None:
@@ -264,8 +287,9 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     cut, to_whole = rotate_silhouette(upper, 0.0)
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
     landmarks = landmarks_of(seen, entry.points_3d)
-    best = likeliest(match_landmarks(toy_index, cut, 7, landmarks, whole=False))
-    assert joint_error(best.points_normalised, seen) < 8
+    found = match_landmarks(toy_index, cut, 7, landmarks, whole=False)
+    assert all(joint_error(one.points_normalised, seen) < 8 for one in found.hypotheses)
+    best = likeliest(found)
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
     # The silhouette affects only the order.
     other = match_landmarks(toy_index, np.ones_like(cut), 7, landmarks, whole=False)

@@ -1,5 +1,6 @@
 """Bodies that the frame's border or a nearer person cuts."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from app.vision.people import (
     Landmarks,
     ObservedKeypoints,
     Silhouette,
+    landmark_rows,
 )
 from app.vision.truncation import (
     attenuate_visibility_at_border,
@@ -83,14 +85,21 @@ def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:
         assert not end_beyond_border(inside, landmarks_but(*gone), (300, 300))
 
 
-def test_landmarks_beyond_the_edge_are_not_seen() -> None:
+SHAPE = (200, 300, 3)
+
+
+def opposite(landmarks: Landmarks) -> Landmarks:
+    """The same landmarks after half a turn of the frame."""
+    return replace(landmarks, positions=np.array([299, 199]) - landmarks.positions)
+
+
+@given(x=st.floats(-3, 3), y=st.floats(-3, 3))
+def test_landmarks_beyond_any_edge_are_not_seen(x: float, y: float) -> None:
     """Whatever their score."""
-    landmarks = landmarks_but()
-    for i, name in enumerate(LANDMARK_NAMES):
-        if name.endswith(FEET):
-            landmarks.positions[i, 1] = 310
-    assert end_beyond_border(Box(50, 198, 40, 100), landmarks, (300, 300))
-    assert not end_beyond_border(Box(50, 198, 40, 100), landmarks, (400, 300))
+    landmarks, is_outside = landmarks_but(), min(x, y) <= -0.5
+    landmarks.positions[landmark_rows("ankle")] = x, y
+    assert end_beyond_border(Box(-0.5, -0.5, 60, 100), landmarks, SHAPE) == is_outside
+    assert end_beyond_border(Box(239.5, 99.5, 60, 100), opposite(landmarks), SHAPE) == is_outside
 
 
 def test_nearer_person_hides_the_farther() -> None:
@@ -130,7 +139,10 @@ def test_landmarks_near_the_border_are_as_visible_as_the_keypoint_next_to_them(
         window, landmarks_but(), 1.0, window, keypoints=ObservedKeypoints(np.zeros((17, 2)), scores)
     )
     reach = 0.3 * reading.body_px
-    for shape, hidden in (((300, 50 + round(reach)), landmarks), ((300, 300), set())):
+    nearest = 50 + math.ceil(reach)
+    for shape, hidden in (
+        ((300, nearest), landmarks), ((nearest, 300), landmarks), ((300, nearest + 1), set()),
+    ):  # fmt: skip
         seen = attenuate_visibility_at_border(reading, shape).visibility
         dimmed = {name for name, value in zip(LANDMARK_NAMES, seen, strict=True) if value < 0.8}
         assert dimmed == hidden
