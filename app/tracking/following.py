@@ -103,10 +103,7 @@ class TrackedPeopleDetector:
         if timestamp - self._searched_at >= EMPTY_SEARCH_EVERY_S:
             return False
         smallest = smallest_person_px(shape, self._finder.min_person_px)
-        if not self._scene.is_still_in_file(data, shape, smallest, timestamp):
-            return False
-        self._read_at = timestamp
-        return True
+        return self._scene.is_still_in_file(data, shape, smallest, timestamp)
 
     def _targets(
         self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job

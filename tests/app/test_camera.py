@@ -30,20 +30,20 @@ def test_all_but_poses_is_the_same_whether_or_not_poses_are_wanted(
 ) -> None:
     """Two walkers in front of a camera that sways, read by the networks."""
     answers = []
-    for n in (0, 1, 7):
+    for n in (0, 7):
         session, seen = CameraSession(estimator), []
         for step in range(9):
             upload = Upload(np.roll(street, 2 * step, axis=1))
             result = session.process(upload, step / 5, n, Job())
             seen += result.events
             for one in result.persons:
-                assert (one.pose is None) == (n == 0) and len(one.hypotheses) == min(n, 7)
+                assert (one.pose is None) == (n == 0) and len(one.hypotheses) == n
                 assert one.posture is not None
                 shares = one.posture.shares.tolist()
                 seen += [one.track_id, one.box, shares, one.facing, one.action, one.zones]
         answers.append(seen)
     assert len(answers[0]) > 50
-    assert answers[0] == answers[1] == answers[2]
+    assert answers[0] == answers[1]
 
 
 @pytest.mark.parametrize(("place", "left_after_s"), [(2, 0.5), (100, 2.0)])

@@ -1,5 +1,6 @@
 """Indexes of stick figures that move, and of some that lie as well."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -86,9 +87,15 @@ def reranked(toy_index: PoseIndex, reranker: RankingModel) -> PoseIndex:
     return replace(toy_index, reranker=reranker)
 
 
-@pytest.fixture
-def saved(toy_index: PoseIndex, tmp_path: Path) -> Path:
-    """Folder of the index of moving figures."""
-    folder = tmp_path / "artefact"
+@pytest.fixture(scope="session")
+def saved_once(toy_index: PoseIndex, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of the index of moving figures, to read."""
+    folder = tmp_path_factory.mktemp("index") / "artefact"
     save_index(toy_index, folder)
     return folder
+
+
+@pytest.fixture
+def saved(saved_once: Path, tmp_path: Path) -> Path:
+    """A copy of this folder, to spoil."""
+    return shutil.copytree(saved_once, tmp_path / "artefact")
