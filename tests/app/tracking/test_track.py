@@ -130,6 +130,8 @@ def test_without_hypotheses_the_last_pose_and_posture_are_kept_for_a_second() ->
     hidden = replace(person, facing=None, posture=None, hypotheses=())
     track = track_of(person)
     track.confirm(1, 0.0, [])
+    unknown, _ = track.update(hidden, 0.0, frame=FRAME)
+    assert (unknown.pose, unknown.posture, unknown.action) == (None, None, None)
     shown, _ = track.update(person, 0.0, frame=FRAME)
     kept, _ = track.update(hidden, 0.5, frame=FRAME)
     assert kept.pose is not None and kept.posture == shown.posture
