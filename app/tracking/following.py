@@ -1,11 +1,11 @@
 """Finds the people of a camera's frame: tracked people in their windows, new people by a search.
 
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
-to. At intervals, and if a track's window no longer shows a person, the whole frame is searched, to
-find new people and to check the tracks: MoveNet, which needs no window, finds people whose windows
-have drifted off. While nothing changes around tracked people, searches are rarer, and people at
-rest are not read again between two of them. In an empty scene, the coefficients of a JPEG show
-whether anything changes.
+to; people at rest are read every 0.4 s. At intervals, and if a track's window no longer shows a
+person, the whole frame is searched, to find new people and to check the tracks: MoveNet, which
+needs no window, finds people whose windows have drifted off. While nothing changes around tracked
+people, searches are rarer. In an empty scene, the coefficients of a JPEG show whether anything
+changes.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class TrackedPeopleDetector:
         """What is to be read in a frame.
 
         If the windows show all people that a search could find, the frame is not searched. Then,
-        people at rest are not read again.
+        people at rest may stay as they were.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
@@ -186,7 +186,7 @@ def _resting(frame: NDArray[np.uint8], timestamp: float, expected: Expected) -> 
     resting = {}
     for track, place in places.items():
         alone = not any(place.intersection(places[other]) for other in places if other != track)
-        if alone and (person := track.rests(frame)) is not None:
+        if alone and (person := track.rests(frame, timestamp)) is not None:
             resting[track] = person
     return resting
 

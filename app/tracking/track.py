@@ -20,7 +20,7 @@ from app.estimation.results import Facing, FacingSource, Person
 from app.tracking.actions import ActionRecogniser, PoseSample
 from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
-from app.tracking.falls import Observation
+from app.tracking.falls import WINDOW_S, Observation
 from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
@@ -46,6 +46,9 @@ _RELIABILITY_EXPONENT = 0.25
 _COMES_TO_REST_S = 2.0
 # Time without a change after which the picture of a person may show a statue or a poster.
 _STILL_FROM_S = 600.0
+# A person is at rest who has not moved for so long: what happened before is decided by then. Even
+# so, errors of several readings average out.
+_RESTS_AFTER_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1
 
@@ -77,6 +80,7 @@ class Track:
         self._patch, self._rests_from = person.patch, -math.inf
         self._still, self._still_from = person.patch, timestamp
         self._estimated: Person | None = None
+        self._estimated_at, self._moved_at = -math.inf, timestamp
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the next frame is read."""
         self.beside = person.beside
@@ -141,12 +145,15 @@ class Track:
         silhouette = self._estimated and self._estimated.silhouette
         return silhouette.crop.nbytes if silhouette else 0
 
-    def rests(self, frame: NDArray[np.uint8]) -> Person | None:
-        """The person as estimated before, if nothing has changed there; otherwise None."""
+    def rests(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
+        """The person as estimated a moment ago, if nothing has changed there for a while."""
         person = self._estimated
         if person is None or person.source != "detector" or person.patch is None:
             return None
-        return person if person.patch.is_unchanged_in(frame) else None
+        if not person.patch.is_unchanged_in(frame):
+            self._moved_at = timestamp
+        rests = timestamp - self._moved_at > _RESTS_AFTER_S
+        return person if rests and timestamp - self._estimated_at < _ESTIMATED_EVERY_S else None
 
     def forget_estimate(self) -> None:
         """Estimate the person anew in the next frame, even if nothing changes."""
@@ -175,7 +182,8 @@ class Track:
         as well.
         """
         track_id = self._known_id()
-        self._estimated = person
+        if person is not self._estimated:
+            self._estimated, self._estimated_at = person, timestamp
         self._compare(person, frame, covered, timestamp)
         body, shares, smoothed = SeenBody.of(person), None, None
         if body is not None:
