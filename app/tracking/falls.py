@@ -208,7 +208,7 @@ def shipped_model() -> FallModel:
     return FallModel.load()
 
 
-REPORTED_FROM, REPORTED_LOST_FROM = 0.6, 0.7
+REPORTED_FROM, REPORTED_LOST_FROM = 0.5, 0.7
 """Low-pass filtered probability from which a fall is reported; and that of a person who is seen no
 more, which in crowds mostly has other reasons.
 

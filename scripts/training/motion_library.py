@@ -17,7 +17,7 @@ from scripts.training.motions import Motion, Motions
 RATE = 15
 """Frames a second that are kept."""
 
-COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120), "drop": (200, 40)}
+COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120), "drop": (40, 8)}
 """Motions by kind, of training and of held-out subjects."""
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")

@@ -44,7 +44,7 @@ HIDDEN = (48, 48, 48)
 DROPOUT, WEIGHT_DECAY, NOISE = 0.1, 0.01, 0.01
 _EPOCHS, _BATCH = 12, 1024
 
-THRESHOLDS = ((0.5, 0.7), (0.6, 0.7), (0.6, 0.8), (0.7, 0.8))
+THRESHOLDS = ((0.5, 0.7), (0.55, 0.7), (0.6, 0.7), (0.7, 0.8))
 """Probabilities from which a fall is reported, and from which one of a person who is lost."""
 
 

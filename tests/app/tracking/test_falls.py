@@ -12,6 +12,7 @@ from app.estimation.results import Person
 from app.tracking.falls import (
     COLUMNS,
     MODEL,
+    REPORTED_FROM,
     WINDOW_S,
     FallModel,
     FallReport,
@@ -130,7 +131,7 @@ def test_no_single_frame_reports_a_fall_and_certainty_does_so_soon(fps: float) -
         return told.index(True) if True in told else None
 
     assert first([1.0, *[0.0] * 20]) is None
-    assert first([0.55] * 60) is None
+    assert first([REPORTED_FROM - 0.01] * 60) is None
     frames = first([1.0] * 20)
     assert frames is not None
     assert frames == 2 or frames <= round(0.6 * fps)
@@ -176,7 +177,7 @@ def alarms(times: NDArray[np.float64], rows: NDArray[np.float64]) -> Iterator[fl
             yield time
 
 
-@pytest.mark.parametrize(("step", "least"), [(1, 0.7), (3, 0.6), (7, 0.55)])
+@pytest.mark.parametrize(("step", "least"), [(1, 0.65), (3, 0.6), (7, 0.55)])
 def test_most_simulated_falls_are_reported_at_any_rate_and_hardly_anything_else(
     tracks: list[tuple[NDArray[np.float64], NDArray[np.float64], float]], step: int, least: float
 ) -> None:

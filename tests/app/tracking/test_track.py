@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.tracking.falls import REPORTED_LOST_FROM
 from app.tracking.track import BoxFilter, Track, associate
 from app.tracking.zones import Zone
 from app.vision.appearance import Patch, colour_distance, colours_of
@@ -207,7 +208,7 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
     track, frame = falling_unseen()
     (fell,), stays = track.lose(frame, 5.6)
     assert (fell.event, fell.lost, stays) == ("fell", True, True)
-    assert fell.probability > 0.8
+    assert fell.probability >= REPORTED_LOST_FROM
     assert track.lose(frame, 9.0) == ([], True)
     assert track.lies_at == Box(240, 290, 190, 65)
     (left,), stays = track.lose(frame[::-1].copy(), 10.0)
