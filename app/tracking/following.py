@@ -119,13 +119,13 @@ class TrackedPeopleDetector:
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, bool(tracks), still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
-            resting = _resting(frame, timestamp, expected)
-            moving = {track: window for track, window in expected.items() if track not in resting}
-            shown = self._shown(frame, timestamp, moving, job)
-            gone = [one for one in moving if one.track_id is not None and one not in shown]
+            shown = self._in_windows(frame, timestamp, expected, job)
+            seen = {*shown.followed, *shown.resting}
+            gone = [one for one in expected if one.track_id is not None and one not in seen]
             if not any(_may_be_there(one, frame.shape) for one in gone):
-                return _Wanted([], [], shown, resting)
-            expected = shown | {track: expected[track] for track in resting}
+                return shown
+            at_rest = {track: expected[track] for track in shown.resting}
+            expected = {**shown.followed, **at_rest}
             lost = list(dict.fromkeys([*lost, *gone]))
         return self._searched(frame, timestamp, expected, lost, job)
 
@@ -162,13 +162,16 @@ class TrackedPeopleDetector:
             targets.append(Target(one, unseen.pop(near) if near and is_there else None))
         return _Wanted(targets, beside, unseen, {})
 
-    def _shown(
+    def _in_windows(
         self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
-    ) -> dict[Track, PersonWindow | PoseReading]:
-        """Read tracks in their windows; return those that still show their person, with reading."""
-        targets = [_followed(*one, timestamp) for one in expected.items()]
-        readings = zip(expected, self._finder.read(frame, targets, job), strict=True)
-        return {track: reading for track, reading in readings if reading is not None}
+    ) -> _Wanted:
+        """The tracks whose windows still show their person, with readings, and people at rest."""
+        resting = _resting(frame, timestamp, expected)
+        moving = {track: window for track, window in expected.items() if track not in resting}
+        targets = [_followed(*one, timestamp) for one in moving.items()]
+        readings = zip(moving, self._finder.read(frame, targets, job), strict=True)
+        shown = {track: reading for track, reading in readings if reading is not None}
+        return _Wanted([], [], shown, resting)
 
 
 class _Wanted(NamedTuple):
@@ -177,7 +180,7 @@ class _Wanted(NamedTuple):
     found: list[Target]  # by a search
     beside: list[Detection]  # perhaps beside them
     followed: Expected  # tracks in their windows
-    resting: Mapping[Track, Person]
+    resting: dict[Track, Person]
 
 
 def _resting(frame: NDArray[np.uint8], timestamp: float, expected: Expected) -> dict[Track, Person]:
