@@ -404,7 +404,7 @@ class CameraSession:
         job: Job,
     ) -> tuple[TrackedPerson, ...]:
         """Estimate the poses of people with a silhouette, and update their tracks."""
-        # People at rest have their hypotheses already.
+        # Unchanged people have their hypotheses already.
         fits = [not person.hypotheses and (n > 0 or person.landmarks is None) for person, _ in seen]
         wanted = [person for (person, _), one in zip(seen, fits, strict=True) if one]
         count = max(n, DEFAULT_HYPOTHESES)
@@ -440,7 +440,7 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
 def _with_looks(person: Person, frame: NDArray[np.uint8]) -> Person:
     """A person with the picture of their place and the colours of their clothes."""
     if person.patch is not None:
-        return person  # At rest.
+        return person  # It is unchanged.
     silhouette = person.silhouette
     colours = None if silhouette is None else colours_of(frame, silhouette)
     return replace(person, patch=Patch.of(frame, person.box), colours=colours)

@@ -1,11 +1,11 @@
 """Finds the people of a camera's frame: tracked people in their windows, new people by a search.
 
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
-to; people at rest are read every 0.4 s. At intervals, and if a track's window no longer shows a
-person, the whole frame is searched, to find new people and to check the tracks: MoveNet, which
-needs no window, finds people whose windows have drifted off. While nothing changes around tracked
-people, searches are rarer. In an empty scene, the coefficients of a JPEG show whether anything
-changes.
+to; people who do not move are read every 0.4 s. At intervals, and if a track's window no longer
+shows a person, the whole frame is searched, to find new people and to check the tracks: MoveNet,
+which needs no window, finds people whose windows have drifted off. While nothing changes around
+tracked people, searches are rarer. In an empty scene, the coefficients of a JPEG show whether
+anything changes.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class TrackedPeopleDetector:
         in_window : dict
             Maps the position of each person found in a track's window to that track.
         """
-        found, beside, followed, resting = self._targets(upload.frame, timestamp, tracks, job)
+        found, beside, followed, unchanged = self._targets(upload.frame, timestamp, tracks, job)
         targets = [*found, *(_followed(*one, timestamp) for one in followed.items())]
         people, shown = self._finder.observe(
             upload, targets, job, perhaps_beside=beside, tight=True
@@ -91,8 +91,8 @@ class TrackedPeopleDetector:
         for row, track in zip(shown[len(found) :], followed, strict=True):
             if row is not None and row not in expected:
                 in_window.setdefault(row, track)
-        in_window |= dict(enumerate(resting, start=len(people)))
-        return [*people, *resting.values()], in_window
+        in_window |= dict(enumerate(unchanged, start=len(people)))
+        return [*people, *unchanged.values()], in_window
 
     def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
         """Whether a JPEG file alone shows that a scene without tracks is still empty.
@@ -111,7 +111,7 @@ class TrackedPeopleDetector:
         """What is to be read in a frame.
 
         If the windows show all people that a search could find, the frame is not searched. Then,
-        people at rest may stay as they were.
+        people who do not move may stay as they were.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
@@ -120,12 +120,12 @@ class TrackedPeopleDetector:
         interval = self._interval(timestamp, bool(tracks), still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
             shown = self._in_windows(frame, timestamp, expected, job)
-            seen = {*shown.followed, *shown.resting}
+            seen = {*shown.followed, *shown.unchanged}
             gone = [one for one in expected if one.track_id is not None and one not in seen]
             if not any(_may_be_there(one, frame.shape) for one in gone):
                 return shown
-            at_rest = {track: expected[track] for track in shown.resting}
-            expected = {**shown.followed, **at_rest}
+            unread = {track: expected[track] for track in shown.unchanged}
+            expected = {**shown.followed, **unread}
             lost = list(dict.fromkeys([*lost, *gone]))
         return self._searched(frame, timestamp, expected, lost, job)
 
@@ -165,33 +165,35 @@ class TrackedPeopleDetector:
     def _in_windows(
         self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
     ) -> _Wanted:
-        """The tracks whose windows still show their person, with readings, and people at rest."""
-        resting = _resting(frame, timestamp, expected)
-        moving = {track: window for track, window in expected.items() if track not in resting}
+        """The tracks whose windows still show their person, with readings, and unchanged people."""
+        unchanged = _unchanged(frame, timestamp, expected)
+        moving = {track: window for track, window in expected.items() if track not in unchanged}
         targets = [_followed(*one, timestamp) for one in moving.items()]
         readings = zip(moving, self._finder.read(frame, targets, job), strict=True)
         shown = {track: reading for track, reading in readings if reading is not None}
-        return _Wanted([], [], shown, resting)
+        return _Wanted([], [], shown, unchanged)
 
 
 class _Wanted(NamedTuple):
-    """What is to be read in a frame, and people at rest, who are as they were."""
+    """What is to be read in a frame, and people who are as they were."""
 
     found: list[Target]  # by a search
     beside: list[Detection]  # perhaps beside them
     followed: Expected  # tracks in their windows
-    resting: dict[Track, Person]
+    unchanged: dict[Track, Person]
 
 
-def _resting(frame: NDArray[np.uint8], timestamp: float, expected: Expected) -> dict[Track, Person]:
+def _unchanged(
+    frame: NDArray[np.uint8], timestamp: float, expected: Expected
+) -> dict[Track, Person]:
     """The tracked people in whose places nothing has changed, and no other person is expected."""
     places = {track: track.box_filter.predict(timestamp) for track in expected}
-    resting = {}
+    unchanged = {}
     for track, place in places.items():
         alone = not any(place.intersection(places[other]) for other in places if other != track)
-        if alone and (person := track.rests(frame, timestamp)) is not None:
-            resting[track] = person
-    return resting
+        if alone and (person := track.unchanged(frame, timestamp)) is not None:
+            unchanged[track] = person
+    return unchanged
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,9 @@ _RELIABILITY_EXPONENT = 0.25
 _COMES_TO_REST_S = 2.0
 # Time without a change after which the picture of a person may show a statue or a poster.
 _STILL_FROM_S = 600.0
-# A person is at rest who has not moved for so long: what happened before is decided by then. Even
-# so, errors of several readings average out.
-_RESTS_AFTER_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
+# A person who has not moved for the first of these times is estimated once in the second. By then,
+# a fall has been decided, and errors of several readings still average out.
+_UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1
 
@@ -145,15 +145,15 @@ class Track:
         silhouette = self._estimated and self._estimated.silhouette
         return silhouette.crop.nbytes if silhouette else 0
 
-    def rests(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
+    def unchanged(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
         """The person as estimated a moment ago, if nothing has changed there for a while."""
         person = self._estimated
         if person is None or person.source != "detector" or person.patch is None:
             return None
         if not person.patch.is_unchanged_in(frame):
             self._moved_at = timestamp
-        rests = timestamp - self._moved_at > _RESTS_AFTER_S
-        return person if rests and timestamp - self._estimated_at < _ESTIMATED_EVERY_S else None
+        lasts = timestamp - self._moved_at > _UNCHANGED_FOR_S
+        return person if lasts and timestamp - self._estimated_at < _ESTIMATED_EVERY_S else None
 
     def forget_estimate(self) -> None:
         """Estimate the person anew in the next frame, even if nothing changes."""

@@ -254,12 +254,10 @@ class Motions:
         )
         begun, rotations = len(rotations), np.concatenate([rotations, fall.rotations])
         if kind == "drop":
+            if not fall.ends_on:
+                return None
             held = len(rotations) - 1
-            return (
-                Motion(DROP, clip, rotations, positions, support="bed", held=held)
-                if fall.ends_on
-                else None
-            )
+            return Motion(DROP, clip, rotations, positions, support="bed", held=held)
         if not fall.ends_down or fall.down >= len(fall.positions):
             return None
         down = begun + fall.down
