@@ -1,6 +1,6 @@
 """The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it.
 
-The folder may also hold a network that re-ranks hypotheses. ``reranking.npz`` holds its weights,
+The folder may also hold a re-ranking network. ``reranking.npz`` holds its weights,
 ``reranking.json`` their SHA-256 and the constants fitted to it, and ``postures.npz`` the network
 that reads postures from its hidden layer. Without it, hypotheses are ordered by distance alone.
 """

@@ -11,7 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 COMMANDS = {
     "build": ("scripts.build", "build an index from motion capture"),
-    "train-reranker": ("scripts.training.train_reranker", "train the network that re-ranks"),
+    "train-reranker": ("scripts.training.train_reranker", "train the re-ranking network"),
     "train-silhouette-postures": (
         "scripts.training.train_silhouette_postures",
         "train the postures of silhouettes alone",

@@ -1,9 +1,10 @@
 """The probability that a person fell within the last seconds, from what their track showed.
 
-A small network sees three seconds of boxes, postures and gaps to the border, resampled to a fixed
-grid, so that it works at any frame rate. It was trained on simulated tracks by
-``python -m scripts train-falls``. Lengths are in sizes of the body in the picture, and left and
-right are not told apart, so that neither the frame's size nor a mirror changes anything.
+A few small networks see three seconds of boxes, postures and gaps to the border, resampled to a
+fixed grid, so that they work at any frame rate. They were trained on simulated tracks and rendered
+films by ``python -m scripts train-falls``. Lengths are in sizes of the body in the picture, and
+left and right are not distinguished, so that neither the frame's size nor mirroring it changes
+anything.
 """
 
 from __future__ import annotations
@@ -29,10 +30,10 @@ from app.vision.truncation import gaps_to_border
 MODEL = Path(__file__).parent / "models" / "falls.npz"
 
 WINDOW_S = 3.0
-"""Time before a frame that the network sees."""
+"""Time before a frame that the networks see."""
 
 GRID_S = 0.2
-"""Time between two points at which it sees it."""
+"""Time between two points of the grid."""
 
 _HIPS = landmark_rows("hip")
 _POINTS = round(WINDOW_S / GRID_S)
@@ -101,10 +102,10 @@ def window_features(
 ) -> NDArray[np.float32]:
     """Inputs ``(D,)`` of the network at a time, from rows ``(K, 17)``, oldest first.
 
-    At each point of the grid: the top, the bottom and the hips against those of the last row, the
-    distance along the picture, width and height, six postures, right, covered, the gaps to the
-    nearer side, the upper and the lower border, and whether the person was seen since then and
-    known already.
+    At each point of the grid: the top, the bottom and the hips relative to those of the last row,
+    the horizontal distance from its middle, width and height, six postures, right, covered, the
+    gaps to the nearer side, the upper and the lower border, whether the person was still seen at
+    that time, and whether the track had begun.
     """
     grid = now + GRID_S * np.arange(1 - _POINTS, 1)
     right = np.clip(np.searchsorted(times, grid), 1, max(len(times) - 1, 1))
@@ -147,7 +148,8 @@ class FallModel:
 
     Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, 8 G, K)`` and ``(N, K, 2)`` of ``N``
     networks and ``D`` inputs at each point of the grid; offsets ``(N, H)``, ``(N, G)``, ``(N, K)``
-    and ``(N, 2)``. What single networks say differs by chance, the more the less a track shows.
+    and ``(N, 2)``. The answers of single networks differ by chance, the more so the less a track
+    shows.
     """
 
     weights: tuple[NDArray[np.float32], ...]
@@ -209,10 +211,10 @@ def shipped_model() -> FallModel:
 
 
 REPORTED_FROM, REPORTED_LOST_FROM = 0.5, 0.7
-"""Low-pass filtered probability from which a fall is reported; and that of a person who is seen no
-more, which in crowds mostly has other reasons.
+"""Low-pass filtered probability from which a fall is reported; and the unfiltered one of a person
+who is lost, for which crowds mostly have other reasons.
 
-Chosen on held-out simulated tracks (docs/training.md).
+Chosen on held-out simulated tracks, the first with a look at real films (docs/training.md).
 """
 
 # Probability that the trunk is up, and the time for which it must be as high, before another fall
@@ -226,7 +228,8 @@ class FallReport:
     Parameters
     ----------
     reported_from, lost_from : float
-        Filtered probability from which a fall is reported; and that of a person who is lost.
+        Filtered probability from which a fall is reported; and the unfiltered one of a person who
+        is lost.
     """
 
     def __init__(

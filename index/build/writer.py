@@ -47,7 +47,7 @@ _BLOCK = 4096
 def save_index(index: PoseIndex, path: Path) -> str:
     """Write an index as a folder, whole or not at all, and return its version.
 
-    A network that re-ranks is written beside it and does not affect the version.
+    The re-ranking network is written beside it and does not affect the version.
 
     Raises
     ------
