@@ -34,7 +34,7 @@ PixelAspect = Annotated[
         ge=0.25,
         le=4,
         description="Width over height of a pixel, 0.25 to 4; 2 for a camera that sends 960x1080 "
-        "for 1920x1080. 1 without it, and of a video what its file says. The answer is in pixels "
+        "for 1920x1080. 1 without it, and of a video what its file says. The reply is in pixels "
         "of the frame that was sent. In a camera session, a frame's own value wins.",
         examples=[1.0],
     ),
@@ -48,7 +48,7 @@ Roll = Annotated[
         description="Clockwise rotation of the camera about its line of sight, degrees, a multiple "
         "of 90 from -360 to 360; 0 without it. 90 for a camera whose upper side points to the "
         "right, so that people have their heads at the left of its picture. Frames are turned "
-        "upright before people are looked for, and the answer is in pixels and axes of the frame "
+        "upright before people are looked for, and the reply is in pixels and axes of the frame "
         "that was sent. In a camera session, a frame's own value wins.",
         examples=[0.0],
     ),
@@ -63,7 +63,7 @@ class Model(BaseModel):
 
 FRAME = (
     "The photograph: JPEG, PNG, WebP, BMP, TIFF or GIF. Its EXIF orientation is applied; all "
-    "pixels of the answer refer to the turned image."
+    "pixels of the reply refer to the turned image."
 )
 
 
@@ -97,7 +97,7 @@ class Problem(Model):
     """An error, as RFC 9457 describes it."""
 
     type: str = Field(
-        description="URI of the kind of problem; `about:blank` if the status says it all.",
+        description="URI of the kind of problem; `about:blank` if the status describes it.",
         examples=["about:blank"],
     )
     title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
@@ -120,7 +120,7 @@ class Problem(Model):
     )
 
 
-# Points are dictionaries, validated with the model that contains them: an answer has hundreds of
+# Points are dictionaries, validated with the model that contains them: a reply has hundreds of
 # points, and creating them as models would take as long as everything else.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
@@ -179,14 +179,14 @@ class Image(ImageSize):
         examples=[False],
     )
     warnings: list[ImageWarning] = Field(
-        description="What may impair the result. `crowded`: more people are seen in the photograph "
-        "than returned, because there are too many or the time was over; `dark`: the frame is too "
-        "dark to show much; `obstructed`: of the usual view of a camera, little is left, as where "
-        "it is covered, out of focus or turned away; `stretched`: 16 bits a channel that used only "
-        "part of their range, which was stretched; `truncated`: the end of the JPEG is missing, "
-        "and grey; `damaged`: "
-        "the video has lost data of this frame, or of one that it builds on; `zone_outside`: a "
-        "zone of the camera lies wholly outside the frame. More may be added.",
+        description="What may impair the result. `crowded`: the photograph shows more people than "
+        "are returned, because there are too many or the time was over; `dark`: the frame is too "
+        "dark to show much; `obstructed`: little is left of the camera's usual view, because the "
+        "camera is covered, out of focus or turned away; `stretched`: a picture of 16 bits a "
+        "channel used only part of its range, which was stretched; `truncated`: the end of a JPEG, "
+        "or part of a TIFF, is missing; `damaged`: the video has lost data of this frame, or of "
+        "one that it is predicted from; `zone_outside`: a zone of the camera lies wholly outside "
+        "the frame. More may be added.",
         examples=[[]],
     )
 
@@ -213,7 +213,7 @@ class Bone(Model):
 
 
 class Keypoints(Model):
-    """The keypoints that an answer lists, and their order."""
+    """The keypoints that a reply lists, and their order."""
 
     set: KeypointSetName = Field(description="The requested set.", examples=["native"])
     names: list[str] = Field(
@@ -305,15 +305,15 @@ class Facing(Model):
     )
     evidence: FacingSource = Field(
         description="The evidence for it: `image`, the keypoints that the photograph shows; "
-        "`motion`, the way a tracked person moves; `none`, the silhouette alone, which cannot show "
-        "it. In a single frame the probability is the share of the hypotheses' confidence that "
-        "faces the camera.",
+        "`motion`, the direction in which a tracked person moves; `none`, the silhouette alone, "
+        "which cannot show it. In a single frame, the probability is the share of the hypotheses' "
+        "confidence that belongs to those facing the camera.",
         examples=["image"],
     )
 
 
 class Posture(Model):
-    """The person's posture, recognised from the landmarks and the 3D skeletons."""
+    """The person's posture, recognised from the photograph or, without one, the silhouette."""
 
     label: PostureName | Literal["unclear"] = Field(
         description="The likeliest posture; `unclear` if no posture reaches a probability of one "
@@ -383,10 +383,11 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="Distance by silhouette and keypoints. It never decreases with the rank: after "
-        "the seventh, a nearer hypothesis has the distance of the one before. It is the distance "
-        "of the silhouettes if `facing.evidence` is `none`; otherwise keypoints that support a "
-        "hypothesis shorten it, and keypoints that contradict it lengthen it.",
+        description="Distance by silhouette and keypoints. It never decreases with the rank: a "
+        "nearer hypothesis that follows a farther one has the distance of the farther one. It "
+        "starts from `silhouette_distance`. Keypoints that support a hypothesis shorten it, and "
+        "keypoints that contradict it lengthen it. Without keypoints (`facing.evidence` is "
+        "`none`), it is longer the less likely the re-ranking network finds the joints.",
         examples=[0.031],
     )
     silhouette_distance: FiniteFloat = Field(
@@ -410,9 +411,9 @@ class Hypothesis(Model):
     )
     weight: Probability | None = Field(
         description="Probability that this skeleton is nearer to the truth, in three dimensions, "
-        "than the other ones of the first seven. What is uncertain in a photograph is depth, so "
-        "they differ in it. The weights of all sum to at most 1; they are 0 from the eighth, and "
-        "null if `facing.evidence` is `none`.",
+        "than the others of the first seven. These differ mostly in depth, which is uncertain in a "
+        "photograph. The weights of all sum to at most 1; they are 0 from the eighth on, and null "
+        "if `facing.evidence` is `none`.",
         examples=[0.22],
     )
     adjusted_mm: FiniteFloat = Field(
@@ -469,17 +470,17 @@ class Person(Model):
         examples=["detector"],
     )
     window_empty: bool = Field(
-        description="Whether the photograph shows nobody in a caller's box: it may be in another "
-        "form than `[x, y, width, height]`, or of another frame.",
+        description="Whether the photograph shows nobody in a caller's box. The box may be in "
+        "another form than `[x, y, width, height]`, or of another frame.",
         examples=[False],
     )
     silhouette: SilhouetteSummary | None = Field(
         description="Null if a caller's box holds no silhouette; there are no hypotheses then."
     )
     observed_keypoints: list[ObservedKeypoint | None] | None = Field(
-        description="The 17 COCO keypoints as the photograph shows them, in COCO's order; null for "
-        "one that was not seen. Null as a whole if none were read: with `evidence=silhouette`, "
-        "without a frame, and if the network found no person."
+        description="The 17 COCO keypoints as the photograph shows them, in COCO's order, or all "
+        "33 landmarks with `observed=blazepose33`; null for one with a score below 0.05. Null as a "
+        "whole if none were read, as with `evidence=silhouette` or without a frame."
     )
     facing: Facing | None = Field(description="Null without a silhouette.")
     posture: Posture | None = Field(description="Null without a silhouette.")
@@ -537,7 +538,8 @@ class ServiceVersion(Model):
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
     detector: Literal["network"] = Field(
-        description="Person detector: MoveNet and BlazePose's, with HOG beside them.",
+        description="Person detector: MoveNet's and BlazePose's networks, whose detections HOG "
+        "and an object detector score again.",
         examples=["network"],
     )
 
@@ -623,6 +625,6 @@ class DeepstackResponse(Model):
 
 
 class Health(Model):
-    """The service works; otherwise the answer is a problem."""
+    """The service works; otherwise the reply is a problem."""
 
     status: Literal["ok"] = Field(default="ok", description="Always `ok`.", examples=["ok"])

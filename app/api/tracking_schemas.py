@@ -37,9 +37,9 @@ class TrackUpload(FrameUpload):
     track_ids: str | None = Field(
         default=None,
         description="The caller's own identities of the people in `boxes`, for callers who track "
-        "people themselves: a JSON list of texts or whole numbers, one for each box, such as "
-        '`["17", "18"]`. They come back as `caller_track_id`, as text; the same identity means the '
-        "same person.",
+        "people themselves: a JSON list of strings or integers, one for each box, such as "
+        '`["17", "18"]`. The reply has them as `caller_track_id`, as strings; the same identity '
+        "means the same person.",
     )
     timestamp: float | None = Field(
         default=None,
@@ -47,7 +47,7 @@ class TrackUpload(FrameUpload):
         le=LATEST_TIMESTAMP_S,
         allow_inf_nan=False,
         description="When the frame was taken: seconds on any clock that never goes back, later "
-        "than that of the last frame. By default, the time of arrival is used.",
+        "than the last frame. By default, the time of arrival is used.",
     )
 
 
@@ -86,8 +86,8 @@ class Zone(_Given):
     ] = Field(
         min_length=3,
         max_length=MAX_CORNERS,
-        description="Corners `[x, y]` in order, in pixels of the frame. It may reach beyond the "
-        "frame, and cross itself: what it then surrounds twice lies outside of it.",
+        description="Corners `[x, y]` in order, in pixels of the frame. The polygon may reach "
+        "beyond the frame and cross itself; what it then surrounds twice lies outside of it.",
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
@@ -218,7 +218,7 @@ class TrackedPerson(Person):
     )
     still_s: FiniteFloat | None = Field(
         ge=600,
-        description="Seconds for which the person has looked the same, from ten minutes on: a "
+        description="Seconds for which the picture of the person has not changed, from 600 on: a "
         "statue, a screen, a poster or a sleeping person. Otherwise null.",
         examples=[None],
     )
@@ -229,7 +229,7 @@ class Event(Model):
 
     event: EventName = Field(
         description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`: the "
-        "person is in a zone, or no longer; `fell`: the person went down and lies; `lying`, "
+        "person is in a zone, or no longer; `fell`: the person fell and is down; `lying`, "
         "`arms_raised`: the posture; `obstructed`: little is left of the camera's usual view.",
         examples=["fell"],
     )
@@ -239,9 +239,8 @@ class Event(Model):
     )
     state: EventState = Field(
         description="Whether `lying`, `arms_raised` or `obstructed` began or ended; `instant` for "
-        "all others; "
-        "`unconfirmed`, only in the last line of a video, for what had begun to show but was not "
-        "certain.",
+        "all others; `unconfirmed`, only in the last line of a video, for an event that had begun "
+        "to show but was not certain.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -262,7 +261,8 @@ class Event(Model):
     )
     lost: bool = Field(
         default=False,
-        description="With `fell`, whether the person was not seen any more when they fell.",
+        description="With `fell`, whether the person was no longer visible when the fall was "
+        "reported.",
         examples=[False],
     )
 
@@ -304,8 +304,8 @@ class CameraState(Model):
         examples=[[]],
     )
     zones_crossing: list[str] = Field(
-        description="Names of the zones whose border crosses itself, as of corners in a wrong "
-        "order: what it surrounds twice lies outside.",
+        description="Names of the zones whose border crosses itself, for example because the "
+        "corners are in a wrong order; what it surrounds twice lies outside.",
         examples=[[]],
     )
     fov_deg: FieldOfView | None = Field(
@@ -373,7 +373,7 @@ class _FrameLine(Model):
 
 
 class SequenceFrame(_TrackedFrame, _FrameLine):
-    """A line of a video's answer: one of its frames."""
+    """A line of a video's reply: one of its frames."""
 
 
 class PostureTime(Model):
@@ -404,24 +404,24 @@ class TrackSummary(Model):
 
 
 class SequenceEnd(Model):
-    """The last line of a video's answer."""
+    """The last line of a video's reply."""
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
     reason: VideoEndReason = Field(
-        description="`complete`: the video's end; `max_frames`: as many frames as requested or "
-        "allowed; `broken`: the rest cannot be read; `timeout`: the service allows no longer; "
-        "`shutdown`: it is being stopped; `unavailable`: the index cannot be searched; `failed`: "
-        "an error of the service.",
+        description="`complete`: the video has ended; `max_frames`: as many frames as requested or "
+        "allowed were processed; `broken`: the rest cannot be read; `timeout`: the video or one of "
+        "its frames took too long; `shutdown`: the service is being stopped; `unavailable`: the "
+        "index cannot be searched; `failed`: an error of the service.",
         examples=["complete"],
     )
     detail: str = Field(
         description="The reason as a sentence.", examples=["the video ended after 795 frames"]
     )
-    frames: int = Field(ge=0, description="Frames worked on.", examples=[795])
+    frames: int = Field(ge=0, description="Frames processed.", examples=[795])
     damaged: int = Field(
         ge=0,
         description="How many of them have the warning `damaged`: the video has lost data there, "
-        "and people may be missed or imagined.",
+        "and people may be missed or wrongly detected.",
         examples=[0],
     )
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")

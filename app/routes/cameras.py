@@ -70,7 +70,7 @@ Camera = Annotated[CameraKey, Depends(_camera_key)]
 
 
 async def _session_header(request: Request, camera: Camera) -> None:
-    """Add the state of the session to every answer; the work corrects it later."""
+    """Add the state of the session to every reply; the work corrects it later."""
     _set_session_header(request, "warm" if camera in runtime_of(request).sessions else "new")
 
 
@@ -95,9 +95,9 @@ async def track_frame(
 ) -> Response:
     """Track the people in the next frame of a fixed camera.
 
-    In addition to the answer of `/pose`, each person has an identity, a pose smoothed over time,
-    and an action. Frames of one camera are worked on one after the other, in order of arrival. Only
-    the newest waiting frame is kept; older ones get a 503. The header `X-Session` is `new` if the
+    In addition to the reply of `/pose`, each person has an identity, a pose smoothed over time and
+    an action. Frames of one camera are processed one after the other, in order of arrival. Only the
+    newest waiting frame is kept; older ones get a 503. The header `X-Session` is `new` if the
     camera starts afresh: with its first frame, after a pause, or after the service had to forget it
     or has switched to another index.
     """
@@ -212,7 +212,7 @@ async def configure_camera(
     camera: Camera,
     configuration: Annotated[CameraConfiguration, Depends(_read_configuration)],
 ) -> CameraState:
-    """Set the zones and the optics of a camera, whether or not it has sent frames.
+    """Set zones, optics and events of a camera, whether or not it has sent frames.
 
     From the next frame on, persons and events name the zones they are in. A new configuration
     replaces the whole previous one and, for this caller, the one in the service's file. It

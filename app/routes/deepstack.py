@@ -63,7 +63,7 @@ async def _read_upload(request: Request) -> DeepstackUpload:
 @router.post(
     "/detection",
     operation_id="detect_deepstack",
-    summary="People by their boxes, as DeepStack answers",
+    summary="The boxes of people, in DeepStack's form",
     openapi_extra=documented_form(DeepstackUpload),
 )
 async def detect_deepstack(
@@ -71,8 +71,8 @@ async def detect_deepstack(
 ) -> DeepstackResponse:
     """Find people for DeepStack's clients.
 
-    The answer has the boxes of whole people, without silhouettes or poses; the only label is
-    `person`. At most 20 are returned, the most certain ones.
+    The reply has the boxes of whole people, without silhouettes or poses; the only label is
+    `person`. At most 20 people are returned, those with the highest scores.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

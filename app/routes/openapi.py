@@ -26,8 +26,8 @@ SERVERS = [
 
 HEADERS: dict[str, Any] = {
     "X-Request-ID": {
-        "description": "The request's own `X-Request-ID` if it had a plain one, else a new one; "
-        "the service's log contains it.",
+        "description": "The request's own `X-Request-ID` if it has 1 to 64 of the characters "
+        "`A-Za-z0-9._-`, else a new one; the service's log contains it.",
         "schema": {"type": "string"},
     },
     "Retry-After": {
@@ -138,13 +138,15 @@ def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
 
 _MEANINGS = {
     400: "An upload is not a decodable image or video.",
-    401: "An API key is configured, and the request's is missing or wrong.",
+    401: "API keys are configured, and that of the request is missing or wrong.",
     404: "There is no such resource.",
     408: "The upload took too long.",
-    403: "A page of another site sent the request, and it is not among those that are allowed.",
-    409: "The frame is not later than the last one of its camera, or too many are configured.",
+    403: "The request comes from a page of another site, which is not allowed to send any.",
+    409: "The frame is not later than the last one of its camera, or too many cameras are "
+    "configured.",
     413: "Too many bytes or pixels.",
-    415: "The body is neither multipart/form-data nor, where that is taken, an image or a video.",
+    415: "The body is neither multipart/form-data nor, where that is accepted, an image or a "
+    "video.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
     503: "Overloaded or unable to search (with Retry-After), or the index is not loaded.",
 }

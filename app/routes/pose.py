@@ -78,7 +78,7 @@ async def draw_pose(
 ) -> Response:
     """Draw numbered boxes, silhouette outlines and the best skeletons over a frame.
 
-    People are numbered from 1, in the order of `persons` in the answer of `/pose`. Limbs on the
+    People are numbered from 1, in the order of `persons` in the reply of `/pose`. Limbs on the
     person's own left are orange, those on the right blue. A strip below the frame explains the
     colours; the pixels above it keep the frame's coordinates.
     """
@@ -110,10 +110,10 @@ async def extract_silhouettes(
 ) -> Response:
     """Segment the people of a frame: a label image, or with `view=1` a picture.
 
-    In the label image, 0 is background, and k is the k-th of `persons` in the answer of `/pose`. It
+    In the label image, 0 is background, and k is the k-th of `persons` in the reply of `/pose`. It
     can be sent back as `mask`. Viewers show it nearly black, since labels are small numbers. It has
     no palette: OpenCV would read colours instead of labels. With `view=1`, the people have the
-    colours of `/pose/overlay` upon black.
+    colours of `/pose/overlay` on black.
     """
     runtime = runtime_of(request)
     estimator = runtime.ready_estimator()

@@ -73,7 +73,7 @@ _Joints = Annotated[
     Field(
         description="How joints are written: `full`, an object for each; `compact`, plain "
         "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
-        "at all, if only boxes, silhouettes or entries are wanted. In answers about cameras and "
+        "at all, if only boxes, silhouettes or entries are wanted. In replies about cameras and "
         "videos, `none` also leaves out hypotheses and poses, which takes less time.",
         examples=["full"],
     ),
@@ -145,7 +145,7 @@ class PoseQuery(_CameraQuery):
     silhouettes: Annotated[
         SilhouetteForm,
         Field(
-            description="Whether the answer includes silhouettes, and in which of COCO's forms: "
+            description="Whether the reply includes silhouettes, and in which of COCO's forms: "
             "`rle`, every pixel; `polygon`, the outlines.",
             examples=["rle"],
         ),
@@ -173,7 +173,7 @@ class SilhouetteQuery(_Query):
 
     view: bool = Field(
         default=False,
-        description="Whether people are in the colours of `/pose/overlay`, to be looked at, "
+        description="Whether people are in the colours of `/pose/overlay`, for viewing, "
         "instead of labels.",
         examples=[True],
     )
@@ -198,7 +198,7 @@ class SequenceQuery(_CameraQuery):
         int | None,
         Field(
             ge=1,
-            description="Most frames that are worked on; by default, and at most, as many as the "
+            description="Most frames that are processed; by default, and at most, as many as the "
             "service allows.",
             examples=[500],
         ),
@@ -210,7 +210,7 @@ class SequenceQuery(_CameraQuery):
     joints: _Joints = "full"
     stride: Annotated[
         int,
-        Field(ge=1, le=1000, description="Every n-th frame is worked on.", examples=[2]),
+        Field(ge=1, le=1000, description="Only every n-th frame is processed.", examples=[2]),
         WHOLE_NUMBER,
     ] = 1
 

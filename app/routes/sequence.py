@@ -1,4 +1,4 @@
-"""Videos, answered line by line while they are worked on."""
+"""Videos, answered line by line while they are processed."""
 
 import asyncio
 import shutil
@@ -132,10 +132,10 @@ async def analyse_sequence(
 ) -> LineStream:
     """Track the people of a video of a fixed camera.
 
-    The answer comes line by line while the video is worked on: one line of type `frame` for each
-    frame, like the answer of `/cameras/{camera_id}/frames`, and a last line of type `end` with
-    tracks, events and the reason why it ends there. Live frames of cameras take their turn in
-    between.
+    The reply comes line by line while the video is processed: one line of type `frame` for each
+    frame, like the reply of `/cameras/{camera_id}/frames`, and a last line of type `end` with
+    tracks, events and the reason why the reply ends there. Live frames of cameras take their turn
+    in between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
