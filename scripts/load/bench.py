@@ -124,7 +124,7 @@ def resized(picture: Picture, size: tuple[int, int]) -> Picture:
     return np.asarray(cv2.resize(picture, size, interpolation=interpolation), np.uint8)
 
 
-def at_rest(picture: Picture) -> tuple[Picture, ...]:
+def without_motion(picture: Picture) -> tuple[Picture, ...]:
     """Return a film in which nothing moves, with the noise of a sensor: two grey levels."""
     rng = np.random.default_rng(0)
     noise = (rng.normal(0, 2, picture.shape) for _ in range(FILM))
@@ -166,7 +166,7 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         for query, parts in (("?evidence=silhouette", masked), ("", masked), ("", boxed))
     )
     large = pose_calls(resized(street.empty, LARGE))
-    films = {"film": street.film, "tall": street.tall, "rest": at_rest(street.tall[0])}
+    films = {"film": street.film, "tall": street.tall, "rest": without_motion(street.tall[0])}
     calls = [camera_calls(name, film) for name, film in films.items()]
     return {
         "four_walkers": Case(f"{size}, four walkers", pose_calls(*street.busy), 1.4),
@@ -178,7 +178,7 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         "two_people": Case("1080x1920, two people", pose_calls(*street.tall), 1.1),
         "camera": Case(f"{size}, next frame of a camera", calls[0], 0.9),
         "tall_camera": Case("1080x1920, next frame of a camera", calls[1], 0.7),
-        "rest_camera": Case("1080x1920, the same, both people at rest", calls[2], 0.35, 40),
+        "rest_camera": Case("1080x1920, the same, nobody moves", calls[2], 0.35, 40),
     }
 
 
