@@ -79,7 +79,7 @@ targets of make that install it."""
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a command and return its exit status; what it lacks is said in one sentence."""
+    """Run a command and return its exit status; one sentence says what is missing."""
     name, *rest = arguments or ["--help"]
     if name in ("-h", "--help"):
         print(usage())

@@ -1,4 +1,4 @@
-"""Break a line at a time and see whether the tests notice, for a fixed sample of such mutants.
+"""Change one place of the code at a time and see whether the tests notice, for a fixed sample.
 
 mutmut makes the mutants and runs the tests that reach each; ``[tool.mutmut]`` in pyproject.toml
 names the modules. ``mutmut show NAME`` shows a mutant again, ``mutmut run NAME`` runs it again.

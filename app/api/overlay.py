@@ -179,7 +179,7 @@ def draw_labels(estimate: Estimate) -> NDArray[np.uint8]:
 
 
 def draw_silhouettes(estimate: Estimate) -> NDArray[np.uint8]:
-    """Draw the silhouettes ``(H, W, 3)``, BGR, in the colours of their people, upon black."""
+    """Draw the silhouettes ``(H, W, 3)``, BGR, in the colours of their people, on black."""
     number = draw_labels(estimate)
     colours = np.zeros((256, 3), np.uint8)
     colours[1:] = np.resize(PEOPLE, (255, 3))

@@ -18,7 +18,8 @@ from app.bridge.source import Frame, Source
 STATUS_EVERY_S = 10.0
 _NO_KEY = (401, 403)
 _NO_CAMERA = (404, 405, 422)
-"""Statuses that end it before a frame was answered: the set-up is wrong. Later, it may recover."""
+"""Statuses that end the bridge before a frame was answered: the set-up is wrong. Later, the service
+may recover."""
 
 
 class Presence:

@@ -1,4 +1,4 @@
-"""What the parts of the bridge share: log lines, faults that last, and HTTP."""
+"""Log lines, lasting faults and HTTP, for all parts of the bridge."""
 
 import base64
 import contextlib
@@ -13,7 +13,7 @@ RETRY_AFTER_S = 1.0
 
 
 class UnavailableError(Exception):
-    """Something is not taken now, and may be taken later."""
+    """A server cannot take a request now, but may take it later."""
 
 
 class RefusedError(Exception):

@@ -146,7 +146,7 @@ class HomeAssistant:
         self._zones, self._earlier = topics, {}
 
     def keep(self) -> None:
-        """Publish what has changed, and notice that nobody has shown anything for too long."""
+        """Publish what has changed; the camera is offline if no frame was answered for too long."""
         now = time.monotonic()
         with self._changed:
             if self._state[self._available] == "online" and now > self._seen_at + BLIND_AFTER_S:

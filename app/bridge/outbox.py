@@ -13,7 +13,7 @@ from app.bridge.common import RefusedError, Trouble, UnavailableError, say
 Message = Mapping[str, Any]
 
 MAX_WAITING = 100_000
-"""For each receiver; beyond it the oldest are dropped."""
+"""Most events that wait for a receiver; beyond it, the oldest are dropped."""
 
 _POLL_S = 0.2
 # A message names its camera, and its id is that of no other camera.

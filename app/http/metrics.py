@@ -89,7 +89,7 @@ class Metrics:
         self._requests = counter(
             "pose_requests", "Requests answered, by route and status.", ["route", "status"])
         self._seconds = histogram(
-            "pose_request_seconds", "From the first byte of a request to the last of its answer.",
+            "pose_request_seconds", "From the first byte of a request to the last of its reply.",
             ["route"], buckets=durations)
         self._sequence_seconds = histogram(
             "pose_sequence_seconds", "The same of a request with a video.", buckets=_VIDEO_SECONDS)
@@ -102,7 +102,7 @@ class Metrics:
         self._confidence = histogram(
             "pose_confidence", "Confidence of the best hypothesis of one person.", buckets=_TENTHS)
         self.in_flight = gauge(
-            "pose_in_flight", "Frames worked on or waiting.")
+            "pose_in_flight", "Frames being processed or waiting.")
         self.capacity_used = gauge(
             "pose_capacity_used_ratio",
             "Expected wait of the next frame, as a share of that from which frames are refused.")
@@ -125,7 +125,7 @@ class Metrics:
         self.sessions = gauge(
             "pose_camera_sessions", "Camera sessions held.")
         self.sequences = gauge(
-            "pose_sequences", "Videos received or worked on.")
+            "pose_sequences", "Videos being received or processed.")
         # fmt: on
 
     def observe_build(self, version: str, settings: Settings) -> None:

@@ -22,8 +22,8 @@ class HttpProtocol(HttpToolsProtocol):
     """uvicorn's protocol, with a timeout and a size limit for the head of a request.
 
     The head is the request line and the headers. A connection is closed if a head is late or too
-    large, or so are the headers after a body; and if requests come in great number before their
-    answers, or a body in tiny chunks, since all other clients wait while they are parsed.
+    large, or so are the headers after a body; and if too many requests wait for the reply to an
+    earlier one, or a body comes in tiny chunks, since all other clients wait while they are parsed.
     """
 
     head_timeout_s = 10.0

@@ -19,8 +19,8 @@ request_id: ContextVar[str] = ContextVar("request_id", default="")
 class RequestState:
     """Notes on one request, shared by all copies of its scope.
 
-    ``status`` is that of the answer, once it has begun; ``headers`` are added to it, be it a reply
-    or a problem. ``rejected_reason`` is for the log and the metrics; ``is_ending`` says whether the
+    ``status`` is that of the reply, once it has begun; ``headers`` are added to it, also if it is a
+    problem. ``rejected_reason`` is for the log and the metrics; ``is_ending`` says whether the
     service is being stopped.
     """
 

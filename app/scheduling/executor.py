@@ -5,11 +5,11 @@ Frames (:meth:`Executor.run`)
     :class:`app.scheduling.queue.FairQueue`. A frame has a deadline and is dropped when its client
     disconnects.
 Parts (:meth:`Executor.map`)
-    The people of a frame, or its images. The frame's own thread works through them. While fewer
-    frames are worked on than are allowed, other threads, the helpers, take parts too. A new frame
-    never waits for them: it gets a thread of its own.
+    The people of a frame, or its images. The frame's own thread processes them. While fewer frames
+    are in progress than are allowed, other threads, the helpers, take parts too. A new frame never
+    waits for helpers: it gets a thread of its own.
 
-Work on a frame must not start another frame: it would wait for a thread that may never be free.
+The work on a frame must not start another frame: it would wait for a thread that may never be free.
 """
 
 import asyncio
@@ -31,7 +31,7 @@ Result = TypeVar("Result")
 
 
 class Executor:
-    """Works on a bounded number of frames at a time; the others wait in a queue.
+    """Processes a bounded number of frames at a time; the others wait in a queue.
 
     A frame waits at most ``max_wait_s`` until its work begins, and takes at most ``timeout_s``,
     waiting included. Threads start when needed.

@@ -7,8 +7,8 @@ Order
     Callers share the threads' time equally, however much each of them sends, by fair queueing [1]_:
     short work overtakes the long work of other callers. Frames of one caller keep their order.
 Cameras
-    One frame of a live camera is worked on at a time, and one waits. A newer frame replaces the
-    waiting one, since a late answer is worth less than an answer to a newer frame.
+    One frame of a live camera is processed at a time, and one waits. A newer frame replaces the
+    waiting one, since a late reply is worth less than a reply to a newer frame.
 
 The queue is used by the event loop's thread only and needs no lock.
 
@@ -89,7 +89,7 @@ class Ticket:
 
 
 class FairQueue:
-    """Frames that wait for one of a number of threads, ``max_wait_s`` at most, or are worked on."""
+    """Frames that wait for a thread, ``max_wait_s`` at most, or are being processed."""
 
     def __init__(
         self, threads: int, max_wait_s: float, clock: Callable[[], float] = time.monotonic
@@ -110,12 +110,12 @@ class FairQueue:
 
     @property
     def working(self) -> int:
-        """Number of frames that are worked on."""
+        """Number of frames being processed."""
         return len(self._working)
 
     @property
     def in_flight(self) -> int:
-        """Number of frames that wait or are worked on."""
+        """Number of frames that wait or are being processed."""
         return len(self._waiting) + len(self._working)
 
     def load(self) -> float:

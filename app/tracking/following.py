@@ -42,8 +42,8 @@ EMPTY_SEARCH_EVERY_S = 12.0
 """Time between two searches while nothing changes and no person is tracked. Such a search
 finds only people who were missed on entering."""
 
-# A person entering is soon better visible: for this time after a still scene has changed, every
-# frame is searched.
+# A person who enters is soon better visible: for this time after an empty, still scene has changed,
+# every frame is searched.
 _ENTERS_WITHIN_S = 1.0
 
 # A track's window is read for this long after a sighting.

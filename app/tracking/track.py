@@ -46,8 +46,8 @@ _RELIABILITY_EXPONENT = 0.25
 _COMES_TO_REST_S = 2.0
 # Time without a change after which the picture of a person may show a statue or a poster.
 _STILL_FROM_S = 600.0
-# A person who has not moved for the first of these times is estimated once in the second. By then,
-# a fall has been decided, and errors of several readings still average out.
+# A person who has not moved for the first of these times is estimated only once in the second. By
+# then, a fall has been decided, and errors of several readings still average out.
 _UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1

@@ -1,8 +1,9 @@
-"""What small models make of a reading: the body in space, how far to trust it, and its posture.
+"""Small models that judge a reading: the body in space, how far to trust it, and its posture.
 
-They were trained on rendered people, by ``python -m scripts train-photographs``. Trust is the
-probability that the window shows a person, and that their landmarks are right. The posture is one
-of six that a single frame distinguishes, with a probability for each.
+They were trained on rendered people, depth and trust by ``python -m scripts train-photographs``,
+postures by ``train-postures``. Trust is the probability that the window shows a person, and that
+their landmarks are right. The posture is one of six that a single frame distinguishes, with a
+probability for each.
 """
 
 from __future__ import annotations

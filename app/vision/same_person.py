@@ -1,4 +1,4 @@
-"""Whether two detections show the same person: each case, and its limits.
+"""Whether two detections show the same person, within a frame or in two frames.
 
 Two detections or readings of a frame are compared by the best that both have: their points, a
 window and a box, or two boxes. A small network compares a person of an earlier frame with the

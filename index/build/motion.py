@@ -28,7 +28,8 @@ METRES_PER_UNIT = 0.05644
 # Mean joint angle from the zero pose (arms out, legs straight) below which a frame is one: the
 # calibration poses at the start of some clips stay below 5.8, living ones above 6.1.
 _T_POSE_BELOW_DEG = 6.0
-# A bone is broken that turns more than this in 1/30 s, and so many times as far as around it.
+# A bone is broken if it turns by more than this in 1/30 s, and so many times as far as just before
+# and after.
 _JUMP_ABOVE_DEG, _JUMP_RATIO = 45.0, 4.0
 # Frames between two jumps that are as broken as the jumps: a bone flipped and flipped back.
 _SHORT_RUN = 8

@@ -199,7 +199,7 @@ def _reranker_files(reranker: RankingModel) -> dict[str, bytes]:
 
 
 def save_postures(postures: PostureNetwork, folder: Path) -> None:
-    """Write what reads postures from the network that lies beside an index."""
+    """Write the posture network beside the re-ranking network of an index."""
     network = json.loads((folder / RERANKING_JSON).read_bytes())
     (folder / POSTURES_NPZ).write_bytes(_posture_bytes(postures, network["sha256"]))
 

@@ -22,7 +22,7 @@ from scripts.helpers import track
 from scripts.metrics import percent
 
 EARLY_S = 0.3
-"""The labels of a fall's begin are so exact."""
+"""Seconds by which the labelled beginning of a fall may be late."""
 
 KINDS = ("fall", "out_of_bed", "in_bed", "activity")
 """What films are a test of."""
@@ -35,7 +35,7 @@ Figures = dict[str, Any]
 
 @dataclass
 class Watched:
-    """What a session said of a film: what began or happened and when, and postures.
+    """A session's answers to a film: what began or happened and when, and postures.
 
     Answers are pairs of the true posture and the label of the largest person.
     """

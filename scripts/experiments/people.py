@@ -1,8 +1,8 @@
 """The people experiment: sport, falls, leaning bodies, cameras. Answers must be right, or unclear.
 
-Asks the estimator and camera sessions in this process about ``../shared/real``. The fall
-photographs, the sports photographs (detection and confidence alone) and the street video
-(detection, ground) were learned from; UP-Fall, the fall videos and Pose2Sim were not.
+Asks the estimator and camera sessions in this process about ``../shared/real``. Detection scores
+and confidence were fitted to the sports photographs and the street video, among others; nothing was
+fitted to the fall photographs, UP-Fall, the fall videos and Pose2Sim.
 """
 
 import argparse

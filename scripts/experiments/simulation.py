@@ -2,7 +2,7 @@
 
 The index is built as the shipped one is, but without the held-out clips
 (:func:`index.build.builder.hold_out`); descriptor and confidence are fitted to what remains. The
-network that re-ranks is the shipped one, which knows none of these clips either. Queries are frames
+re-ranking network is the shipped one, which knows none of these clips either. Queries are frames
 spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
 view of the hemisphere: upright motion, clips near the ground, and both laid down.
 """

@@ -1,6 +1,6 @@
 """Offer a server ten times the load it can carry.
 
-Capacity is measured first, with two requests more in flight than are worked on at once. Then ten
+Capacity is measured first, with two requests more in flight than are processed at once. Then ten
 times that many requests are sent each second, whether answered or not, at random times, while
 another process asks ``/healthz`` every few milliseconds, each time over a new connection, as
 an orchestrator does.

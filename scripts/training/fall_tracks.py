@@ -1,10 +1,10 @@
 """Tracks of people without pictures: skeletons projected, with the errors of a camera session.
 
-How the session errs comes from rendered films (``python -m scripts render-films``): the answer to
-a skeleton is that of a rendered person who looked alike (direction of trunk, thighs and shanks
+The session's errors come from rendered films (``python -m scripts render-films``): the answer to a
+skeleton is the answer to a rendered person who looked alike (direction of trunk, thighs and shanks
 against the camera, size), mostly of the same film from frame to frame, so that errors last. People
-cover each other, things cover them, the frame cuts them; identities are lost, begin again and
-change over where people cross.
+cover each other, things cover them, the frame cuts them; identities are lost, begin again, and are
+exchanged where people cross.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from scripts.training.motion_library import RATE, Library
 from scripts.training.render.cameras import Camera, aimed_at, sample_camera
 
 STEPS = (1, 1, 2, 2, 3, 3, 3, 4, 5, 7)
-"""Of frames at 15 a second, that a camera sends: 15 to 2 a second, mostly 5."""
+"""Steps between the frames that a camera sends, of 15 a second: 15 to 2 are sent, mostly 5."""
 
 LOST_AFTER_S = (0.5, 2.0)
 """Time after which a session lets a person go: at the frame's border, and elsewhere."""
@@ -43,7 +43,7 @@ _PAIRS = [(JOINT_NAMES.index(a), JOINT_NAMES.index(b)) for a, b in (
 def looks(
     joints: NDArray[np.floating], size_px: NDArray[np.floating], inside: NDArray[np.floating]
 ) -> NDArray[np.float64]:
-    """What makes two rendered people alike ``(N, 11)``: joints ``(N, 24, 3)`` in camera axes."""
+    """Features ``(N, 11)`` to compare people by, from joints ``(N, 24, 3)`` in camera axes."""
     bones = np.stack([joints[:, b] - joints[:, a] for a, b in _PAIRS], axis=1)
     bones /= np.maximum(np.linalg.norm(bones, axis=-1, keepdims=True), 1e-6)
     thighs, shanks = bones[:, 1:3].mean(axis=1), bones[:, 3:5].mean(axis=1)
@@ -67,7 +67,7 @@ def boxes_of(
 
 @dataclass(frozen=True)
 class Eyes:
-    """Answers of the session to rendered people, found by what they look like.
+    """Answers of the session to rendered people, searched by their looks.
 
     ``errors`` ``(N, 4)`` are those of the edges of the box in sizes of the body, ``hips`` ``(N,)``
     the height of the hips in it; NaN where the person was not found. ``posture`` ``(N, 6)``.
@@ -143,7 +143,7 @@ def _in_view(rows: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Track:
-    """What a session knew of a person: observations at times, and how it ends.
+    """A session's observations of a person over time, and how the track ends.
 
     ``falls``, ``down`` are the seconds of the person's fall, ``up`` ``(K,)`` whether the trunk was
     up. ``lost_at`` is when the session let the person go; None if the film ended before. ``alone``

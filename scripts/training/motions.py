@@ -1,4 +1,4 @@
-"""What people do in films of falls and of daily life, as motion of the bones of clips.
+"""The motions of people in films of falls and of daily life, as rotations of the bones of clips.
 
 Recorded motion is taken from clips, walks repeat; daily life that no clip shows (to lie down, sit,
 kneel, tie shoes, get up) leads from pose to pose; falls are simulated

@@ -1,8 +1,8 @@
 """Render films of falls and daily life, read by a camera session: see ``docs/training.md``.
 
-A fixed camera, five frames a second. Writes ``film-NNNN.npz`` each: where the joints are, what the
-session said of the person there, and its tracks. The pictures are not kept; films that are there
-are not made again. ``--sheet FILE`` draws six frames of each of 24 films to look at instead.
+A fixed camera, five frames a second. Writes a ``film-NNNN.npz`` for each film: the joints, the
+session's answer about each person, and its tracks. The pictures are not kept; films that are in the
+folder are not made again. ``--sheet FILE`` draws six frames of each film to look at instead.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _HIPS = landmark_rows("hip")
 
 
 def observed(film: Film, session: CameraSession, pairs: Pairs) -> dict[str, NDArray[Any]]:
-    """What the session says of a film.
+    """The session's answers to a film.
 
     ``rows``: per person and frame, joints in camera axes and the answer there. ``tracks``
     ``(K, 20)``: per frame and tracked person, the frame, the identity, which person it is or -1,
@@ -99,7 +99,7 @@ def _is_shown_by(box: Box, person: TrackedPerson) -> bool:
 def _observation(
     person: TrackedPerson, persons: Sequence[TrackedPerson], shape: tuple[int, int]
 ) -> Observation:
-    """What the model of falls sees of a person, as in a session."""
+    """The input of the model of falls for a person, as in a session."""
     others = [one for one in persons if one is not person and one.source != "track"]
     covered = max((one.box.intersection(person.box) / person.box.area for one in others), default=0)
     return Observation.of(person, shape, covered)

@@ -34,7 +34,7 @@ BARE_SHARE = 0.5
 
 
 def first_window(photograph: Photograph, generator: np.random.Generator) -> PersonWindow:
-    """A window as the service would look first: roughly about the body, the trunk upright."""
+    """A window like the service's first one: roughly about the body, the trunk upright."""
     box = photograph.box
     middle, longest = box[:2] + box[2:] / 2, max(box[2:])
     if photograph.posture == EMPTY and generator.random() < BARE_SHARE:
@@ -109,7 +109,7 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
 def read_windows(
     network: LandmarkNetwork, number: int, photograph: Photograph, generator: np.random.Generator
 ) -> WindowRows:
-    """What the network reads in a first window, and in the one that it points to."""
+    """The network's readings in a first window, and in the next one, to which the first points."""
     rows, window = [], first_window(photograph, generator)
     for _ in range(2):
         reading = network.read(photograph.image, window)
@@ -148,7 +148,7 @@ def write_rows(
     studio: Studio,
     rows_of: Callable[[int, Photograph, np.random.Generator], Rows],
 ) -> None:
-    """Write what is read in photographs, 500 to a file; files that are there are kept."""
+    """Write the rows of photographs, 500 to a file; files that exist are kept."""
     options.out.mkdir(parents=True, exist_ok=True)
     for first in tqdm(range(0, options.count, PER_FILE), unit="file"):
         file = options.out / f"rows-{first // PER_FILE:04d}.npz"

@@ -39,7 +39,7 @@ UNRECORDED, FALLEN = 0.15, 0.3
 
 @dataclass(frozen=True)
 class PostureRows(Rows):
-    """What shows the postures of rendered people, and what they are."""
+    """The evidence for the postures of rendered people, and the true postures."""
 
     photograph: NDArray[np.int64]  # (N,)
     view: NDArray[np.int64]  # (N,): positions in :data:`VIEWS`
@@ -86,7 +86,7 @@ class Reader:
         return cls(people, load_photograph_models())
 
     def rows(self, number: int, photograph: Photograph, generator: Generator) -> PostureRows:
-        """What is read in the views of a photograph."""
+        """The rows of the views of a photograph."""
         rows = []
         for view, shown in enumerate(views_of(photograph, generator)):
             scatter = generator.normal(0, 0.04, 4) * shown.box[[2, 3, 2, 3]]

@@ -32,7 +32,7 @@ SHOWN_S = 0.2
 """Time on the ground from which a fall is to be recognised; before, it counts neither way."""
 
 FILM_WEIGHT = 4.0
-"""Of windows of rendered films, whose errors are the session's own."""
+"""Weight of windows of rendered films, whose errors are the session's own."""
 
 STEP_S = 0.2
 """Least time between two windows of a track."""
@@ -45,7 +45,7 @@ DROPOUT, WEIGHT_DECAY, NOISE = 0.1, 0.01, 0.01
 _EPOCHS, _BATCH = 12, 1024
 
 THRESHOLDS = ((0.5, 0.7), (0.55, 0.7), (0.6, 0.7), (0.7, 0.8))
-"""Probabilities from which a fall is reported, and from which one of a person who is lost."""
+"""Pairs of probabilities from which a fall is reported: of a person in view, and of a lost one."""
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def save(model: FallModel, file: Path) -> None:
 
 @dataclass(frozen=True)
 class Record:
-    """What the network says along a track: ``(T, 2)``, and when it is lost alone ``(2,)``."""
+    """The network's probabilities along a track ``(T, 2)``, and when it is lost alone ``(2,)``."""
 
     track: Track
     said: NDArray[np.float64]
@@ -194,7 +194,7 @@ class Record:
 
 
 def recorded(model: FallModel, tracks: Iterator[Track]) -> list[Record]:
-    """What the network says of tracks."""
+    """The network's probabilities along tracks."""
     records = []
     for track in tracks:
         times = track.times.tolist()

@@ -1,4 +1,4 @@
-"""Train the network that says whether two people of different frames are one: ``identity.npz``.
+"""Train the network that recognises one person in two frames: ``identity.npz``.
 
 It learns from the pairs that camera sessions compared in films (``render-films``). Prints how often
 it is wrong on held-out ones.
@@ -21,10 +21,11 @@ from scripts.training.fit_dense import fit_dense
 from scripts.training.render.film import RATE
 
 LATER_S = 0.5
-"""Time unseen from which a pair counts as of a person who was lost."""
+"""Time unseen from which a pair counts as one of a person who was lost."""
 
 STEPS, LONGEST_S = (1, 2, 3, 5), 2.0
-"""Films are seen at lower rates as well: every so many frames; the longest time between a pair."""
+"""Numbers of frames from one to the next, since films are read at lower rates as well; and the
+longest time between the two of a pair."""
 
 UNKNOWN = 0.2
 """Share of pairs whose colours, and of others whose windows, are left out."""

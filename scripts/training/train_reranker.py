@@ -1,4 +1,4 @@
-"""Train the network that re-ranks an index's hypotheses: ``make reranker``.
+"""Train the re-ranking network of an index: ``make reranker``.
 
 It is written into the folder of the index, whose own files stay as they are. The held-out clips are
 kept from it, so that ``evaluate simulation`` measures the network that ships. Training takes about

@@ -81,7 +81,7 @@ _INPUT_SCALE = 40.0
 
 @dataclass(frozen=True)
 class Examples:
-    """Silhouettes as the network sees them, and what they show."""
+    """Inputs of the network from silhouettes, and the postures that these show."""
 
     inputs: NDArray[np.uint8]  # (N, 514)
     kinds: NDArray[np.int64]  # (N,): positions in :data:`index.silhouette_posture.KINDS`
@@ -117,7 +117,7 @@ def examples_of(
     *,
     made: bool,
 ) -> Examples:
-    """What the joint network reads in silhouettes; a wide one may have its head at either end."""
+    """Inputs from the joint network for silhouettes; a wide one may have its head at either end."""
     turned = np.random.default_rng(_SEED).random(len(queries)) < 0.5
     turned &= queries.roll_deg != 0
     hidden = np.empty((len(queries), INPUTS - 2), np.float32)

@@ -59,7 +59,7 @@ CLOSE_UPS = 0.1
 """Share of people whose picture holds one end of the body, mostly the head's."""
 
 JUMBLED = 0.3
-"""Share of pictures without people in which two things stand in one another."""
+"""Share of pictures without people in which two things overlap."""
 
 EMPTY = -1
 """Class of pictures that show nobody."""
