@@ -118,7 +118,7 @@ class CameraSession:
     @property
     def memory_bytes(self) -> int:
         """Approximate memory used by the session."""
-        return sum(TRACK_BYTES + track.outline_bytes for track in self._tracks)
+        return sum(TRACK_BYTES + track.last_estimate.outline_bytes for track in self._tracks)
 
     def process(
         self,
@@ -161,7 +161,7 @@ class CameraSession:
         if self._asked != (n, upload.optics):
             self._asked = n, upload.optics
             for track in self._tracks:
-                track.forget_estimate()
+                track.last_estimate.forget()
         people, in_window = self._find(decoded, evidence, timestamp, job)
         if decoded.has_frame:
             people = [_with_looks(person, frame) for person in people]

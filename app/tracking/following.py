@@ -191,7 +191,7 @@ def _unchanged(
     unchanged = {}
     for track, place in places.items():
         alone = not any(place.intersection(places[other]) for other in places if other != track)
-        if alone and (person := track.unchanged(frame, timestamp)) is not None:
+        if alone and (person := track.last_estimate.still_holds(frame, timestamp)) is not None:
             unchanged[track] = person
     return unchanged
 

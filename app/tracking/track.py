@@ -20,7 +20,8 @@ from app.estimation.results import Facing, FacingSource, Person
 from app.tracking.actions import ActionRecogniser, PoseSample
 from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
-from app.tracking.falls import WINDOW_S, Observation
+from app.tracking.falls import Observation
+from app.tracking.last_estimate import LastEstimate
 from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
@@ -46,9 +47,6 @@ _RELIABILITY_EXPONENT = 0.25
 _COMES_TO_REST_S = 2.0
 # Time without a change after which the picture of a person may show a statue or a poster.
 _STILL_FROM_S = 600.0
-# A person who has not moved for the first of these times is estimated only once in the second. By
-# then, a fall has been decided, and errors of several readings still average out.
-_UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
 # Share of the difference that corrects the known colours.
 _COLOUR_GAIN = 0.1
 
@@ -79,8 +77,7 @@ class Track:
         """Whether another person was at the expected place since the last sighting."""
         self._patch, self._rests_from = person.patch, -math.inf
         self._still, self._still_from = person.patch, timestamp
-        self._estimated: Person | None = None
-        self._estimated_at, self._moved_at = -math.inf, timestamp
+        self.last_estimate = LastEstimate(timestamp)
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the next frame is read."""
         self.beside = person.beside
@@ -139,26 +136,6 @@ class Track:
         boxes = self.box_filter.predict(timestamp), self.box_filter.seen
         return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
 
-    @property
-    def outline_bytes(self) -> int:
-        """Memory of the person's outline, which is kept from frame to frame."""
-        silhouette = self._estimated and self._estimated.silhouette
-        return silhouette.crop.nbytes if silhouette else 0
-
-    def unchanged(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
-        """The person as estimated a moment ago, if nothing has changed there for a while."""
-        person = self._estimated
-        if person is None or person.source != "detector" or person.patch is None:
-            return None
-        if not person.patch.is_unchanged_in(frame):
-            self._moved_at = timestamp
-        lasts = timestamp - self._moved_at > _UNCHANGED_FOR_S
-        return person if lasts and timestamp - self._estimated_at < _ESTIMATED_EVERY_S else None
-
-    def forget_estimate(self) -> None:
-        """Estimate the person anew in the next frame, even if nothing changes."""
-        self._estimated = None
-
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
         """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
@@ -182,8 +159,7 @@ class Track:
         as well.
         """
         track_id = self._known_id()
-        if person is not self._estimated:
-            self._estimated, self._estimated_at = person, timestamp
+        self.last_estimate.update(person, timestamp)
         self._compare(person, frame, covered, timestamp)
         body, shares, smoothed = SeenBody.of(person), None, None
         if body is not None:

@@ -1,0 +1,51 @@
+"""The last estimate of a person, which stands while nothing moves."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from app.estimation.results import Person
+from app.tracking.falls import WINDOW_S
+
+# A person who has not moved for the first of these times is estimated only once in the second. By
+# then, a fall has been decided, and errors of several readings still average out.
+_UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
+
+
+class LastEstimate:
+    """A person as estimated last, and since when the picture of them has not changed."""
+
+    def __init__(self, timestamp: float) -> None:
+        self._person: Person | None = None
+        self._estimated_at, self._moved_at = -math.inf, timestamp
+
+    @property
+    def outline_bytes(self) -> int:
+        """Memory of the person's outline, which is kept from frame to frame."""
+        silhouette = self._person and self._person.silhouette
+        return silhouette.crop.nbytes if silhouette else 0
+
+    def update(self, person: Person, timestamp: float) -> None:
+        """Keep the estimate of a frame, unless it is the last one again."""
+        if person is not self._person:
+            self._person, self._estimated_at = person, timestamp
+
+    def forget(self) -> None:
+        """Have the person estimated anew in the next frame, even if nothing changes."""
+        self._person = None
+
+    def still_holds(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
+        """The person, if the estimate still holds in a frame ``(H, W, 3)``; each frame is asked.
+
+        It holds for a moment if nothing has changed at the person's place for a while.
+        """
+        person = self._person
+        if person is None or person.source != "detector" or person.patch is None:
+            return None
+        if not person.patch.is_unchanged_in(frame):
+            self._moved_at = timestamp
+        lasts = timestamp - self._moved_at > _UNCHANGED_FOR_S
+        return person if lasts and timestamp - self._estimated_at < _ESTIMATED_EVERY_S else None
