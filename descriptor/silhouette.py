@@ -85,7 +85,8 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
     crop = _averaged(filled[top:bottom, left:right], block)
     vertical = _resampling_matrix(HEIGHT, crop.shape[0], scale * block)
     horizontal = _resampling_matrix(WIDTH, crop.shape[1], scale * block)
-    grey = vertical @ crop @ horizontal.T
+    # The columns first: there are fewer of them in the result than rows.
+    grey = vertical @ (crop @ horizontal.T)
     return (grey >= _INSIDE * grey.max()).astype(np.uint8), placement
 
 

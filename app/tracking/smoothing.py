@@ -21,6 +21,7 @@ from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
 from app.vision.odds import log_odds, probability_of
+from app.vision.people import Silhouette
 from index.facing import azimuth_deg
 from index.posture import UPRIGHT, vote_posture
 from index.skeleton import POINT_NAMES, bone_lengths, mean_joint_distance, with_bone_lengths
@@ -119,24 +120,23 @@ class _States:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a person is in a frame: the foot of the box, and the silhouette's centroid.
+    """Where a person is in a frame: the foot of the box, or the silhouette's centroid.
 
     Swinging limbs move a box more than the body.
     """
 
     foot: NDArray[np.float64]
-    centroid: NDArray[np.float64] | None
+    silhouette: Silhouette | None
 
     @classmethod
     def of(cls, person: Person) -> _Place:
-        silhouette = person.silhouette
-        return cls(person.whole_box.foot, None if silhouette is None else silhouette.centroid)
+        return cls(person.whole_box.foot, person.silhouette)
 
     def minus(self, before: _Place) -> NDArray[np.float64]:
         """How far ``(2,)`` the person has moved since another place."""
-        if self.centroid is None or before.centroid is None:
+        if self.silhouette is None or before.silhouette is None:
             return self.foot - before.foot
-        return self.centroid - before.centroid
+        return self.silhouette.centroid - before.silhouette.centroid
 
 
 class PoseSmoother:
