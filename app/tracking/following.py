@@ -29,11 +29,16 @@ from app.vision.detectors.tiles import smallest_person_px
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
 from app.vision.images import reduced_grey
 from app.vision.people import Detection
+from app.vision.person_reader import MOVENET_FROM_PX
 from app.vision.same_person import is_expected
 from app.vision.truncation import ends_at_border
 
 SEARCH_EVERY_S = 0.4
 """Time between two searches of the whole frame while it changes around the tracked people."""
+
+UNCHANGED_SEARCH_EVERY_S = 0.8
+"""Time between two searches if nothing has changed around the tracked people since the first and
+MoveNet checks all their windows: a search would find nobody new."""
 
 STILL_SEARCH_EVERY_S = 3.0
 """Time between two searches while nothing changes around them."""
@@ -117,7 +122,7 @@ class TrackedPeopleDetector:
         smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
         still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
         expected, lost = state.expected, state.lost
-        interval = self._interval(timestamp, bool(tracks), still)
+        interval = self._interval(timestamp, state, is_still=still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
             shown = self._in_windows(frame, timestamp, expected, job)
             seen = {*shown.followed, *shown.unchanged}
@@ -129,12 +134,14 @@ class TrackedPeopleDetector:
             lost = list(dict.fromkeys([*lost, *gone]))
         return self._searched(frame, timestamp, expected, lost, job)
 
-    def _interval(self, timestamp: float, is_tracked: bool, is_still: bool) -> float:
+    def _interval(self, timestamp: float, state: _Followed, *, is_still: bool) -> float:
         """Time from one search to the next; 0 while a person enters an empty scene."""
         if is_still:
-            return STILL_SEARCH_EVERY_S if is_tracked else EMPTY_SEARCH_EVERY_S
-        enters = not is_tracked and self._scene.has_just_changed(timestamp)
-        return 0.0 if enters else SEARCH_EVERY_S
+            return STILL_SEARCH_EVERY_S if state.tracks else EMPTY_SEARCH_EVERY_S
+        if not state.tracks:
+            return 0.0 if self._scene.has_just_changed(timestamp) else SEARCH_EVERY_S
+        changed = self._scene.has_changed_since(self._searched_at)
+        return UNCHANGED_SEARCH_EVERY_S if state.all_checked and not changed else SEARCH_EVERY_S
 
     def _searched(
         self,
@@ -218,6 +225,12 @@ class _Followed:
     def all_in_windows(self) -> bool:
         """Whether all people are confirmed and have windows."""
         return len(self.expected) == len(self.people) == len(self.tracks) and not self.lost
+
+    @property
+    def all_checked(self) -> bool:
+        """Whether, besides, all people are so large that MoveNet checks their windows."""
+        are_large = (one.body_px >= MOVENET_FROM_PX for one in self.expected.values())
+        return self.all_in_windows and all(are_large)
 
     @property
     def may_suffice(self) -> bool:
@@ -308,6 +321,10 @@ class _Scene:
             return False
         now = shrink_quickly(grey, width, height)
         return not self._differs(self._searched, now, scale, []) and self._is_still_at(time)
+
+    def has_changed_since(self, time: float) -> bool:
+        """Whether a later frame differed from the one that was searched."""
+        return self._changed_at > time
 
     def has_just_changed(self, time: float) -> bool:
         """Whether the scene was still a moment ago."""

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import WINDOW_SCALE, PersonWindow, sample_window, transform_points
+from app.vision.geometry import PersonWindow, sample_window, transform_points
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 from app.vision.tflite import TfliteNetwork
@@ -50,7 +50,7 @@ class PoseReading:
     @property
     def body_px(self) -> float:
         """Size of the body, the radius of its circle, in pixels of the frame."""
-        return self.next_window.side / (2 * WINDOW_SCALE)
+        return self.next_window.body_px
 
     @property
     def drift(self) -> float:

@@ -177,9 +177,14 @@ class PersonWindow:
         roll_deg = math.degrees(math.atan2(right, -down))
         return cls(float(centre[0]), float(centre[1]), 2 * WINDOW_SCALE * radius, roll_deg)
 
+    @property
+    def body_px(self) -> float:
+        """Size of the body, the radius of its circle, in pixels of the frame."""
+        return self.side / (2 * WINDOW_SCALE)
+
     def circle_box(self) -> Box:
         """The upright box about the circle around the body."""
-        radius = self.side / (2 * WINDOW_SCALE)
+        radius = self.body_px
         return Box(self.x - radius, self.y - radius, 2 * radius, 2 * radius)
 
     def to_frame(self, pixels: int) -> NDArray[np.float64]:

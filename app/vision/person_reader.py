@@ -38,9 +38,9 @@ MIN_PRESENCE = 0.5
 
 # A window has lost its person if the next window is farther away than this share of its side.
 _MAX_DRIFT = 0.35
-# Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
-# the reading itself; poses of smaller people are averaged over more frames instead.
-_MOVENET_FROM_PX = 200.0
+MOVENET_FROM_PX = 200.0
+"""Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
+the reading itself; poses of smaller people are averaged over more frames instead."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class PersonReader:
         reading = self.network.read(frame, window)
         if reading.presence < MIN_PRESENCE or reading.drift > _MAX_DRIFT:
             return None
-        if reading.body_px < _MOVENET_FROM_PX:
+        if reading.body_px < MOVENET_FROM_PX:
             return reading
         box = reading.landmarks.box()
         keypoints = self.keypoint_reader.read(frame, box)

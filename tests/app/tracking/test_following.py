@@ -15,10 +15,12 @@ from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
+from app.tracking import following
 from app.tracking.following import (
     EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
+    UNCHANGED_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
@@ -231,6 +233,22 @@ def test_a_still_scene_is_searched_rarely(
     for step in range(15, 135):
         send(session, step / 5, *people)
     assert detector.searches == 24 / interval_s
+
+
+@pytest.mark.parametrize(("flicker", "large"), [(0, True), (20, True), (0, False)])
+def test_while_nothing_changes_around_a_large_walker_searches_are_rarer(
+    session: CameraSession,
+    detector: ColourDetector,
+    monkeypatch: pytest.MonkeyPatch,
+    flicker: int,
+    large: bool,
+) -> None:
+    monkeypatch.setattr(following, "MOVENET_FROM_PX", 30.0 if large else 300.0)
+    every = UNCHANGED_SEARCH_EVERY_S if large and not flicker else SEARCH_EVERY_S
+    times = [0.201 * step for step in range(9)]
+    for step, time in enumerate(times):
+        send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
+    assert detector.searches == 1 + times[-1] // every
 
 
 def test_an_empty_scene_that_is_not_still_is_searched_at_intervals(
