@@ -92,7 +92,8 @@ def main(arguments: Sequence[str]) -> int:
         return 2
     sys.argv[0] = f"scripts {name}"  # argparse takes its program name from here.
     logging.basicConfig(format="%(message)s", stream=sys.stdout)
-    logging.getLogger("index").setLevel(logging.INFO)
+    for package in ("index", "scripts"):
+        logging.getLogger(package).setLevel(logging.INFO)
     try:
         return importlib.import_module(COMMANDS[name][0]).main(rest) or 0
     except ModuleNotFoundError as error:
