@@ -1,14 +1,14 @@
 """The motions of people in films of falls and of daily life, as rotations of the bones of clips.
 
 Recorded motion is taken from clips, walks repeat; daily life that no clip shows (to lie down, sit,
-kneel, tie shoes, get up) leads from pose to pose; falls are simulated
+pray, tie shoes, wipe the floor, get up) leads from pose to pose; falls are simulated
 (:mod:`scripts.training.falling`) and begin in clips.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -28,6 +28,8 @@ from index.build.body import (
 from index.build.motion import METRES_PER_UNIT, Clip, Segment, read_manifest
 from index.build.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
+from scripts.training.render.makers import DEEDS, use_hands
+from scripts.training.render.pose import Pose, places_of
 from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, classes_of
 
 Support = Literal["seat", "bed"]
@@ -39,7 +41,7 @@ WALKS = ("walk", "run")
 _ACROBATICS = ("breakdance", "cartwheel", "flip", "roll", "fall", "duck", "climb", "lie", "get-up")
 
 _Step = tuple[str, float, float]
-"""A posture, and between how many seconds it takes to get there."""
+"""A posture or one of :data:`DEEDS`, and between how many seconds it takes to get there."""
 
 DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
     "sits": ("seat", (("standing", 1, 3), ("sitting", 0.5, 2), ("sitting", 1, 4))),
@@ -57,12 +59,53 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
     "gets-up": (None, (("lying", 2, 3), ("all_fours", 1, 2), ("standing", 1, 2.5))),
     "ties-shoes": (
         None,
-        (("standing", 1, 2), ("crouching", 0.5, 1.5), ("crouching", 2, 4), ("standing", 0.6, 1.5)),
+        (
+            ("standing", 1, 2),
+            ("at-shoe", 0.5, 1.5),
+            *[("at-shoe", 0.4, 1)] * 4,
+            ("standing", 0.6, 1.5),
+        ),
+    ),
+    "ties-shoes-seated": (
+        "seat",
+        (
+            ("sitting", 1, 2),
+            ("at-shoe-seated", 0.5, 1.5),
+            *[("at-shoe-seated", 0.4, 1)] * 4,
+            ("sitting", 0.6, 1.5),
+        ),
     ),
     "picks-up": (None, (("standing", 1, 2), ("bending", 0.4, 1.2), ("standing", 0.4, 1.2))),
     "cleans-floor": (
         None,
-        (("standing", 1, 2), ("crouching", 0.6, 1.5), ("all_fours", 0.6, 1.5), ("all_fours", 1, 3)),
+        (
+            ("standing", 1, 2),
+            ("crouching", 0.6, 1.5),
+            ("on-floor", 0.6, 1.5),
+            *[("on-floor", 0.3, 0.8)] * 12,
+        ),
+    ),
+    "prays": (
+        None,
+        (
+            ("standing", 1, 2),
+            ("on-heels", 0.8, 2),
+            ("prostrate", 0.6, 1.5),
+            ("prostrate", 0.5, 2),
+            ("on-heels", 0.6, 1.5),
+            ("prostrate", 0.6, 1.5),
+        ),
+    ),
+    "bows": (
+        None,
+        (
+            ("standing", 1, 2),
+            ("bow", 0.6, 1.5),
+            ("bow", 0.5, 2),
+            ("standing", 0.6, 1.5),
+            ("on-heels", 0.8, 2),
+            ("prostrate", 0.6, 1.5),
+        ),
     ),
     "sits-on-floor": (
         None,
@@ -79,6 +122,9 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
 }
 """Daily life from pose to pose, and what carries those who sit and lie."""
 
+_REACHES = {"on-floor": 0.9}
+"""How far the hands of deeds that go on are turned, radians; 0.2 for others."""
+
 DROP = "drop"
 """Daily life that is simulated: people let themselves fall onto a bed or a sofa."""
 
@@ -89,7 +135,8 @@ class Motion:
 
     Positions of the pelvis are metres, y up, for legs as long as the clip's. ``falls`` and ``down``
     are the frames in which a fall begins, and from which the body is on the ground; None for both
-    where nobody falls. The support holds the body in the frame ``held``.
+    where nobody falls. The support holds the body in the frame ``held``. A
+    ``grounded`` body touches the ground in every frame.
     """
 
     kind: str
@@ -100,6 +147,7 @@ class Motion:
     down: int | None = None
     support: Support | None = None
     held: int = 0
+    grounded: bool = False
 
     def joints(self, avatar: Avatar) -> NDArray[np.float64]:
         """Joints and face ``(F, 24, 3)`` of an avatar in the world, on its ground."""
@@ -119,6 +167,9 @@ class Motion:
         rows = [avatar.bones.index(n) for n in ("LeftUpLeg", "LeftLeg", "LeftFoot")]
         theirs = float(np.linalg.norm(np.diff(avatar.heads[rows], axis=0), axis=1).sum())
         path = self.positions * theirs / (own * METRES_PER_UNIT)
+        if self.grounded:
+            path[:, 1] = 0.06 - points[..., 1].min(axis=1)
+            return np.asarray(path)
         lowest = points[..., 1].min(axis=1) + path[:, 1]
         if self.support is None:
             path[:, 1] -= np.quantile(lowest, 0.1) - 0.06
@@ -185,17 +236,20 @@ class Motions:
         support, steps = DAILY[kind]
         height = {"seat": (0.38, 0.5), "bed": (0.3, 0.65), None: (0.0, 0.0)}[support]
         above = float(generator.uniform(*height))
-        poses = [self.poses.draw(name, generator) for name, *_ in steps]
+        poses = self._poses_of([name for name, *_ in steps], generator)
         clip = poses[0].clip
         poses = [pose for pose in poses if pose.clip.bones == clip.bones]
         steps = steps[: len(poses)]
         times = [0.0, *np.cumsum([generator.uniform(low, high) for _, low, high in steps])]
         keys, heights = [], []
         heading = 0.0
+        before = ""
         for pose, (name, *_) in zip(poses, steps, strict=True):
-            heading += generator.normal(0, 0.5)
+            if name not in DEEDS or name != before:
+                heading += generator.normal(0, 0.5)
+            before = name
             keys.append(about_vertical(np.array([heading]))[0] @ pose.rotations)
-            low = _lowest(clip, keys[-1])
+            low = float(_lowest(clip, keys[-1]))
             on = above if support == "bed" and name in ("lying", "sitting") else 0.0
             if support == "bed" and name == "sitting":
                 on = max(0.0, above - 0.35)
@@ -210,8 +264,24 @@ class Motions:
         on_it = next(
             (row for row, (name, *_) in enumerate(steps) if name in ("lying", "sitting")), 0
         )
-        return Motion(kind, clip, rotations, positions, support=support,
+        return Motion(kind, clip, rotations, positions, support=support, grounded=support is None,
                       held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
+
+    def _poses_of(self, names: Sequence[str], generator: Generator) -> list[Pose]:
+        """Draw a pose for each name; in a deed that goes on, only the arms move."""
+        poses: list[Pose] = []
+        begun: Pose | None = None
+        for number, name in enumerate(names):
+            if name not in DEEDS:
+                poses.append(self.poses.draw(name, generator))
+                continue
+            if begun is None or names[number - 1] != name:
+                begun = self.poses.made(DEEDS[name], generator)
+                poses.append(begun)
+                continue
+            poses.append(replace(begun, rotations=begun.rotations.copy()))
+            use_hands(poses[-1], _REACHES.get(name, 0.2), generator)
+        return poses
 
     def fall(self, generator: Generator, kind: FallKind | None = None) -> Motion | None:
         """Simulate a person who falls; None if they do not stay on the ground.
@@ -272,13 +342,9 @@ def _from_origin(
     return turn @ rotations, (positions - positions[0] * [1, 0, 1]) @ turn.T
 
 
-def _lowest(clip: Clip, rotations: NDArray[np.float64]) -> float:
-    """Height of the lowest bone ``(B, 3, 3)`` over the pelvis, metres."""
-    places = np.zeros((len(clip.bones), 3))
-    for bone, parent in enumerate(clip.parents):
-        if parent >= 0:
-            places[bone] = places[parent] + rotations[parent] @ clip.offsets[bone]
-    return METRES_PER_UNIT * float(places[:, 1].min())
+def _lowest(clip: Clip, rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heights ``(...,)`` of the lowest of bones ``(..., B, 3, 3)`` over the pelvis, metres."""
+    return np.asarray(places_of(clip, rotations)[..., 1].min(axis=-1))
 
 
 def _between(

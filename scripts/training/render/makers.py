@@ -264,6 +264,93 @@ def lean_on_arm(pose: Pose, generator: Generator) -> None:
     pose.turn(pose.bones.arms[1 - side], about(pose.aside, -generator.uniform(0, 1.2)))
 
 
+def bow(pose: Pose, generator: Generator) -> None:
+    """Stand with the trunk level and the hands at the knees, as in prayer."""
+    angle = np.deg2rad(generator.uniform(60, 95))
+    pose.lean(float(angle), float(generator.uniform(0.6, 0.9)))
+    pose.turn_arms(float(angle * generator.uniform(0.6, 0.95)), 0.1, generator)
+
+
+def sit_on_heels(pose: Pose, generator: Generator) -> None:
+    """Kneel on both knees with the seat on the heels, the hands on the thighs."""
+    thigh = generator.uniform(58, 75)
+    for side in (0, 1):
+        spread = np.deg2rad(generator.uniform(0, 20))
+        pose.fold_leg(side, float(np.deg2rad(thigh)), float(np.deg2rad(90)), float(spread))
+    pose.lean(float(np.deg2rad(generator.normal(8, 8))), 0.6)
+    pose.turn_arms(float(np.deg2rad(generator.uniform(15, 45))), 0.15, generator)
+
+
+def prostrate(pose: Pose, generator: Generator) -> None:
+    """Kneel with the forehead on the ground, the seat up or on the heels, the hands beside it."""
+    thigh = np.deg2rad(generator.uniform(-5, 65))
+    spread = float(np.deg2rad(generator.uniform(0, 20)))
+    for side in (0, 1):
+        pose.fold_leg(side, float(thigh), float(np.deg2rad(90)), spread)
+    # Thighs of .42 m; from the hips to the forehead it is .7 m.
+    trunk = np.pi / 2 + np.arcsin(np.clip((0.42 * np.cos(thigh) - 0.08) / 0.7, 0.0, 1.0))
+    pose.lean(float(trunk), 0.75)
+    pose.turn_arms(float(trunk + np.deg2rad(generator.uniform(60, 85))), 0.12, generator)
+    pose.rest_on_knees_and_hands()
+
+
+def bend_to_shoe(pose: Pose, generator: Generator) -> None:
+    """Crouch, kneel on one knee or stand, the trunk over one foot and both hands at it."""
+    way, side = generator.random(), int(generator.integers(2))
+    if way < 0.4:
+        lean = generator.uniform(25, 50)
+        for leg in (0, 1):
+            pose.fold_leg(leg, *np.deg2rad(generator.uniform([100, 20], [130, 45])).tolist())
+    elif way < 0.8:
+        lean = generator.uniform(40, 65)
+        pose.fold_leg(side, *np.deg2rad(generator.uniform([80, -5], [110, 15])).tolist())
+        pose.fold_leg(1 - side, *np.deg2rad(generator.uniform([0, 70], [35, 95])).tolist())
+    else:
+        lean = generator.uniform(95, 125)
+        for leg in (0, 1):
+            pose.fold_leg(leg, *np.deg2rad(generator.uniform([15, 5], [50, 25])).tolist())
+    _reach_to_foot(pose, side, float(np.deg2rad(lean)), generator)
+
+
+def bend_to_shoe_seated(pose: Pose, generator: Generator) -> None:
+    """Sit on a seat, the trunk over one foot and both hands at it."""
+    pose.support = "seat"
+    side = int(generator.integers(2))
+    for leg in (0, 1):
+        pose.fold_leg(leg, *np.deg2rad(generator.uniform([75, -20], [100, 10])).tolist())
+    _reach_to_foot(pose, side, float(np.deg2rad(generator.uniform(45, 70))), generator)
+
+
+def _reach_to_foot(pose: Pose, side: int, lean: float, generator: Generator) -> None:
+    """Lean forward and a little to a side, the arms towards a foot."""
+    pose.lean(lean, 0.6)
+    twist = np.deg2rad(generator.uniform(0, 20)) * (1 if side == 0 else -1)
+    pose.turn(pose.bones.trunk, about(np.array([0.0, 1.0, 0.0]), float(twist)))
+    pose.point_arms(int(pose.bones.shanks[side][1]))
+    pose.turn_arms(0.0, 0.08, generator)
+
+
+def kneel_on_hands(pose: Pose, generator: Generator) -> None:
+    """On hands and knees, the shoulders a little higher than the hips."""
+    for side in (0, 1):
+        thigh = generator.normal(5, 12)
+        pose.fold_leg(side, *np.deg2rad([thigh, 90, generator.uniform(0, 12)]).tolist())
+    trunk = np.deg2rad(generator.uniform(62, 82))
+    pose.lean(float(trunk), 0.85)
+    pose.turn_arms(float(trunk + np.deg2rad(generator.uniform(0, 20))), 0.08, generator)
+    pose.turn(pose.bones.head, about(pose.aside, float(-np.deg2rad(generator.uniform(0, 40)))))
+    pose.rest_on_knees_and_hands()
+
+
+def use_hands(pose: Pose, reach: float, generator: Generator) -> None:
+    """Reach ahead or aside with one arm, by up to an angle; the other moves a little."""
+    side = int(generator.integers(2))
+    ahead, aside = reach * generator.uniform(-0.2, 1.0), reach * generator.normal(0, 0.4)
+    turn = about(pose.ahead, float(aside)) @ about(pose.aside, float(-ahead))
+    pose.turn(pose.bones.arms[side], turn)
+    pose.turn_arms(0.0, 0.08, generator)
+
+
 def _gesture(pose: Pose, generator: Generator) -> None:
     """Leave the arms, spread them, raise them ahead or above the head."""
     way = generator.random()
@@ -286,3 +373,9 @@ UNRECORDED: dict[str, tuple[Maker, ...]] = {
     "all_fours": (plank,), "sitting": (lean_on_arm,),
 }  # fmt: skip
 """Poses that no clip shows."""
+
+DEEDS: dict[str, Maker] = {
+    "bow": bow, "on-heels": sit_on_heels, "prostrate": prostrate, "at-shoe": bend_to_shoe,
+    "at-shoe-seated": bend_to_shoe_seated, "on-floor": kneel_on_hands,
+}  # fmt: skip
+"""Poses of daily life that are asked for by name, whatever their class."""

@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.judgement import FramePostureName
-from index.build.motion import Clip
+from index.build.motion import METRES_PER_UNIT, Clip
 
 Support = Literal["ground", "seat", "cycle"]
 
@@ -20,6 +20,16 @@ def about(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
     x, y, z = axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * skew + (1 - np.cos(angle)) * skew @ skew)
+
+
+def places_of(clip: Clip, rotations: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where bones turned by rotations ``(..., B, 3, 3)`` begin, from the pelvis, metres."""
+    places = np.zeros(rotations.shape[:-1])
+    for bone, parent in enumerate(clip.parents):
+        if parent >= 0:
+            along = rotations[..., parent, :, :] @ clip.offsets[bone]
+            places[..., bone, :] = places[..., parent, :] + along
+    return METRES_PER_UNIT * places
 
 
 @dataclass(frozen=True)
@@ -86,9 +96,31 @@ class Pose:
         """To the front of the pelvis, level."""
         return np.cross(self.aside, [0.0, 1.0, 0.0])
 
+    @property
+    def hangs(self) -> bool:
+        """Whether legs and arms point down."""
+        bones = self.bones
+        for least, limbs in ((0.9, (*bones.thighs, *bones.shanks)), (0.85, bones.arms)):
+            for first, second, *_ in limbs:
+                bone = self.rotations[first] @ self.clip.offsets[second]
+                if -bone[1] < least * np.linalg.norm(bone):
+                    return False
+        return True
+
     def turn_all(self, axis: NDArray[np.float64], angle: float) -> None:
         """Turn the whole body."""
         self.rotations = about(axis, angle) @ self.rotations
+
+    def rest_on_knees_and_hands(self) -> None:
+        """Turn the whole body forward or back until legs and arms or head reach as far down."""
+        places = places_of(self.clip, self.rotations)
+        behind, before = (
+            places[min(np.concatenate(rows), key=lambda row: places[row, 1])]
+            for rows in (self.bones.shanks, (*self.bones.arms, self.bones.head))
+        )
+        apart = before - behind
+        angle = np.arctan2(apart[1], max(float(apart @ self.ahead), 0.1))
+        self.turn_all(self.aside, float(angle))
 
     def lean(self, angle: float, pelvis: float = 0.7) -> None:
         """Turn trunk, arms and head forward; the pelvis by a share, the legs not at all."""
@@ -120,6 +152,16 @@ class Pose:
             self.turn(self.bones.arms[side], chance @ outward)
             bend = about(front, generator.normal(0, 0.7))
             self.turn(self.bones.forearms[side], bend)
+
+    def point_arms(self, bone: int) -> None:
+        """Turn both arms, as they are bent, so that the hands are towards where a bone begins."""
+        places = places_of(self.clip, self.rotations)
+        for arm, forearm in zip(self.bones.arms, self.bones.forearms, strict=True):
+            shoulder, hand = places[arm[0]], places[forearm[1]]
+            axis = np.cross(hand - shoulder, places[bone] - shoulder)
+            size = float(np.linalg.norm(axis))
+            angle = np.arctan2(size, (hand - shoulder) @ (places[bone] - shoulder))
+            self.turn(arm, about(axis / max(size, 1e-9), float(angle)))
 
     def turn_arms(self, forward: float, scatter: float, generator: Generator) -> None:
         """Turn both arms forward, and each a little by chance."""

@@ -19,7 +19,7 @@ from index.build.poses import Poses, joints_of, read_poses
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 from scripts.training.falling import FALLS, FPS, fall_from
-from scripts.training.render.makers import MAKERS, UNRECORDED
+from scripts.training.render.makers import MAKERS, UNRECORDED, Maker
 from scripts.training.render.pose import Bones, Pose
 
 CLASS_OF_POSTURE = {
@@ -117,6 +117,18 @@ class PoseSource:
             MAKERS[name](pose, generator)
         elif name == "standing" and generator.random() < 0.25:
             pose.lean(float(generator.normal(0.1, 0.2)))
+        pose.rotations = turned_to_front(pose.rotations[None])[0]
+        return pose
+
+    def made(self, make: Maker, generator: Generator) -> Pose:
+        """A recorded pose of a person with straight legs and hanging arms, made into another."""
+        standing = FRAME_POSTURES.index("standing")
+        pose = self.recorded(standing, generator)
+        for _ in range(200):
+            if pose.hangs:
+                break
+            pose = self.recorded(standing, generator)
+        make(pose, generator)
         pose.rotations = turned_to_front(pose.rotations[None])[0]
         return pose
 
