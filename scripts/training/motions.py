@@ -28,7 +28,7 @@ from index.build.body import (
 from index.build.motion import METRES_PER_UNIT, Clip, Segment, read_manifest
 from index.build.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
-from scripts.training.render.makers import DEEDS, use_hands
+from scripts.training.render.makers import ACTIVITY_POSES, use_hands
 from scripts.training.render.pose import Pose, places_of
 from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, classes_of
 
@@ -41,7 +41,7 @@ WALKS = ("walk", "run")
 _ACROBATICS = ("breakdance", "cartwheel", "flip", "roll", "fall", "duck", "climb", "lie", "get-up")
 
 _Step = tuple[str, float, float]
-"""A posture or one of :data:`DEEDS`, and between how many seconds it takes to get there."""
+"""A posture or one of :data:`ACTIVITY_POSES`, and between how many seconds it is reached."""
 
 DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
     "sits": ("seat", (("standing", 1, 3), ("sitting", 0.5, 2), ("sitting", 1, 4))),
@@ -123,7 +123,7 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
 """Daily life from pose to pose, and what carries those who sit and lie."""
 
 _REACHES = {"on-floor": 0.9}
-"""How far the hands of deeds that go on are turned, radians; 0.2 for others."""
+"""How far the hands turn in activities that go on, radians; 0.2 in others."""
 
 DROP = "drop"
 """Daily life that is simulated: people let themselves fall onto a bed or a sofa."""
@@ -245,7 +245,7 @@ class Motions:
         heading = 0.0
         before = ""
         for pose, (name, *_) in zip(poses, steps, strict=True):
-            if name not in DEEDS or name != before:
+            if name not in ACTIVITY_POSES or name != before:
                 heading += generator.normal(0, 0.5)
             before = name
             keys.append(about_vertical(np.array([heading]))[0] @ pose.rotations)
@@ -268,15 +268,15 @@ class Motions:
                       held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
 
     def _poses_of(self, names: Sequence[str], generator: Generator) -> list[Pose]:
-        """Draw a pose for each name; in a deed that goes on, only the arms move."""
+        """Draw a pose for each name; while an activity goes on, only the arms move."""
         poses: list[Pose] = []
         begun: Pose | None = None
         for number, name in enumerate(names):
-            if name not in DEEDS:
+            if name not in ACTIVITY_POSES:
                 poses.append(self.poses.draw(name, generator))
                 continue
             if begun is None or names[number - 1] != name:
-                begun = self.poses.made(DEEDS[name], generator)
+                begun = self.poses.made(ACTIVITY_POSES[name], generator)
                 poses.append(begun)
                 continue
             poses.append(replace(begun, rotations=begun.rotations.copy()))

@@ -374,7 +374,7 @@ UNRECORDED: dict[str, tuple[Maker, ...]] = {
 }  # fmt: skip
 """Poses that no clip shows."""
 
-DEEDS: dict[str, Maker] = {
+ACTIVITY_POSES: dict[str, Maker] = {
     "bow": bow, "on-heels": sit_on_heels, "prostrate": prostrate, "at-shoe": bend_to_shoe,
     "at-shoe-seated": bend_to_shoe_seated, "on-floor": kneel_on_hands,
 }  # fmt: skip

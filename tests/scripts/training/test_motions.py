@@ -14,7 +14,7 @@ from index.build.body import (
 )
 from index.skeleton import JOINT_NAMES, rows
 from scripts.training.motions import DAILY, Motions
-from scripts.training.render.makers import DEEDS
+from scripts.training.render.makers import ACTIVITY_POSES
 from tests.conftest import ROOT
 
 SHARED = ROOT.parent / "shared"
@@ -41,12 +41,12 @@ def motions(avatar: Avatar) -> Motions:
     return Motions.open(SHARED / "mocap", avatar, held_out=True)
 
 
-def deeds(motions: Motions, avatar: Avatar, name: str) -> NDArray[np.float64]:
+def activity_joints(motions: Motions, avatar: Avatar, name: str) -> NDArray[np.float64]:
     """Joints ``(20, 24, 3)`` of a pose of daily life, from the lowest joint up."""
     generator = np.random.default_rng(4)
     made = []
     for _ in range(20):
-        pose = motions.poses.made(DEEDS[name], generator)
+        pose = motions.poses.made(ACTIVITY_POSES[name], generator)
         turned = pose_transforms(avatar, retarget(pose.clip, avatar), pose.rotations[None])
         made.append(posed_points(avatar, turned)[0])
     joints = np.array(made)
@@ -79,8 +79,8 @@ def test_who_wipes_the_floor_stays_and_moves_the_hands(motions: Motions, avatar:
     assert moved[_WRISTS].max() > 0.2 > 0.1 > moved[_KNEES].max()
 
 
-def test_deeds_rest_on_what_their_name_says(motions: Motions, avatar: Avatar) -> None:
-    height = {name: deeds(motions, avatar, name)[..., 1] for name in DEEDS}
+def test_activities_rest_on_what_their_name_says(motions: Motions, avatar: Avatar) -> None:
+    height = {name: activity_joints(motions, avatar, name)[..., 1] for name in ACTIVITY_POSES}
     assert np.median(height["bow"][:, _PELVIS]) > 0.7
     assert np.median(np.abs(height["bow"][:, _NECK] - height["bow"][:, _PELVIS])) < 0.3
     assert np.median(height["on-heels"][:, _KNEES]) < 0.2
@@ -93,6 +93,6 @@ def test_deeds_rest_on_what_their_name_says(motions: Motions, avatar: Avatar) ->
 
 @pytest.mark.parametrize("name", ["at-shoe", "at-shoe-seated"])
 def test_hands_are_near_a_foot_that_is_tied(motions: Motions, avatar: Avatar, name: str) -> None:
-    joints = deeds(motions, avatar, name)
+    joints = activity_joints(motions, avatar, name)
     hands = joints[:, _WRISTS].mean(axis=1)[:, None]
     assert np.median(np.linalg.norm(joints[:, _ANKLES] - hands, axis=-1).min(axis=1)) < 0.45
