@@ -136,13 +136,13 @@ def back_and_forth(film: Sequence[Picture]) -> list[bytes]:
     return [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
 
 
-def camera_calls(camera: str, film: Sequence[Picture]) -> tuple[Call, ...]:
+def camera_calls(camera: str, film: Sequence[Picture], query: str = "") -> tuple[Call, ...]:
     """Return a camera's frames at ten a second: a film played back and forth."""
     frames = back_and_forth(film)
     return tuple(
         Call(
             "POST",
-            f"/cameras/{camera}/frames",
+            f"/cameras/{camera}/frames{query}",
             {"frame": frames[number % len(frames)], "timestamp": str(number / 10).encode()},
         )
         for number in range(MAX_CALLS)
@@ -166,8 +166,18 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         for query, parts in (("?evidence=silhouette", masked), ("", masked), ("", boxed))
     )
     large = pose_calls(resized(street.empty, LARGE))
-    films = {"film": street.film, "tall": street.tall, "rest": without_motion(street.tall[0])}
-    calls = [camera_calls(name, film) for name, film in films.items()]
+    film, tall, tall_first, tall_events, still = (
+        camera_calls(f"camera-{number}", *shown)
+        for number, shown in enumerate(
+            (
+                (street.film,),
+                (street.tall,),
+                (street.tall, "?n=1"),
+                (street.tall, "?joints=none"),
+                (without_motion(street.tall[0]),),
+            )
+        )
+    )
     return {
         "four_walkers": Case(f"{size}, four walkers", pose_calls(*street.busy), 1.4),
         "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", pose_calls(street.empty), 0.5),
@@ -176,9 +186,11 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         "mask": Case(f"{size}, one mask", both, 0.28),
         "large_nobody": Case(f"{LARGE[0]}x{LARGE[1]}, nobody", large, 0.6),
         "two_people": Case("1080x1920, two people", pose_calls(*street.tall), 1.1),
-        "camera": Case(f"{size}, next frame of a camera", calls[0], 0.9),
-        "tall_camera": Case("1080x1920, next frame of a camera", calls[1], 0.7),
-        "rest_camera": Case("1080x1920, the same, nobody moves", calls[2], 0.35, 40),
+        "camera": Case(f"{size}, next frame of a camera", film, 0.9),
+        "tall_camera": Case("1080x1920, next frame of a camera", tall, 0.7),
+        "tall_first": Case("1080x1920, the same, `n=1`", tall_first, 0.7),
+        "tall_events": Case("1080x1920, the same, `joints=none`", tall_events, 0.5),
+        "rest_camera": Case("1080x1920, the same, nobody moves", still, 0.35, 40),
     }
 
 
