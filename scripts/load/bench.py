@@ -166,18 +166,12 @@ def street_cases(street: Street, client: Client) -> dict[str, Case]:
         for query, parts in (("?evidence=silhouette", masked), ("", masked), ("", boxed))
     )
     large = pose_calls(resized(street.empty, LARGE))
-    film, tall, tall_first, tall_events, still = (
-        camera_calls(f"camera-{number}", *shown)
-        for number, shown in enumerate(
-            (
-                (street.film,),
-                (street.tall,),
-                (street.tall, "?n=1"),
-                (street.tall, "?joints=none"),
-                (without_motion(street.tall[0]),),
-            )
-        )
+    film = camera_calls("film", street.film)
+    tall, tall_first, tall_events = (
+        camera_calls(f"tall{number}", street.tall, query)
+        for number, query in enumerate(("", "?n=1", "?joints=none"))
     )
+    still = camera_calls("still", without_motion(street.tall[0]))
     return {
         "four_walkers": Case(f"{size}, four walkers", pose_calls(*street.busy), 1.4),
         "nobody": Case(f"{SMALL[0]}x{SMALL[1]}, nobody", pose_calls(street.empty), 0.5),
