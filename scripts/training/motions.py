@@ -135,8 +135,8 @@ class Motion:
 
     Positions of the pelvis are metres, y up, for legs as long as the clip's. ``falls`` and ``down``
     are the frames in which a fall begins, and from which the body is on the ground; None for both
-    where nobody falls. The support holds the body in the frame ``held``. A
-    ``grounded`` body touches the ground in every frame.
+    where nobody falls. The support holds the body in the frame ``held``. A ``grounded`` body
+    touches the ground in every frame.
     """
 
     kind: str
@@ -236,18 +236,17 @@ class Motions:
         support, steps = DAILY[kind]
         height = {"seat": (0.38, 0.5), "bed": (0.3, 0.65), None: (0.0, 0.0)}[support]
         above = float(generator.uniform(*height))
-        poses = self._poses_of([name for name, *_ in steps], generator)
+        goes_on = _goes_on(steps)
+        poses = self._poses_of(steps, goes_on, generator)
         clip = poses[0].clip
         poses = [pose for pose in poses if pose.clip.bones == clip.bones]
         steps = steps[: len(poses)]
         times = [0.0, *np.cumsum([generator.uniform(low, high) for _, low, high in steps])]
         keys, heights = [], []
         heading = 0.0
-        before = ""
-        for pose, (name, *_) in zip(poses, steps, strict=True):
-            if name not in ACTIVITY_POSES or name != before:
+        for pose, (name, *_), continued in zip(poses, steps, goes_on, strict=False):
+            if not continued:
                 heading += generator.normal(0, 0.5)
-            before = name
             keys.append(about_vertical(np.array([heading]))[0] @ pose.rotations)
             low = float(_lowest(clip, keys[-1]))
             on = above if support == "bed" and name in ("lying", "sitting") else 0.0
@@ -267,16 +266,15 @@ class Motions:
         return Motion(kind, clip, rotations, positions, support=support, grounded=support is None,
                       held=min(round(held[on_it] * FPS), len(frames) - 1))  # fmt: skip
 
-    def _poses_of(self, names: Sequence[str], generator: Generator) -> list[Pose]:
-        """Draw a pose for each name; while an activity goes on, only the arms move."""
+    def _poses_of(
+        self, steps: Sequence[_Step], goes_on: Sequence[bool], generator: Generator
+    ) -> list[Pose]:
+        """Draw a pose for each step; while an activity goes on, only the arms move."""
         poses: list[Pose] = []
-        begun: Pose | None = None
-        for number, name in enumerate(names):
-            if name not in ACTIVITY_POSES:
-                poses.append(self.poses.draw(name, generator))
-                continue
-            if begun is None or names[number - 1] != name:
-                begun = self.poses.made(ACTIVITY_POSES[name], generator)
+        for (name, *_), continued in zip(steps, goes_on, strict=True):
+            if not continued:
+                make, draw = ACTIVITY_POSES.get(name), self.poses.draw
+                begun = self.poses.made(make, generator) if make else draw(name, generator)
                 poses.append(begun)
                 continue
             poses.append(replace(begun, rotations=begun.rotations.copy()))
@@ -345,6 +343,15 @@ def _from_origin(
 def _lowest(clip: Clip, rotations: NDArray[np.float64]) -> NDArray[np.float64]:
     """Heights ``(...,)`` of the lowest of bones ``(..., B, 3, 3)`` over the pelvis, metres."""
     return np.asarray(places_of(clip, rotations)[..., 1].min(axis=-1))
+
+
+def _goes_on(steps: Sequence[_Step]) -> list[bool]:
+    """Whether each step continues the activity of the one before."""
+    names = [name for name, *_ in steps]
+    before = ["", *names[:-1]]
+    return [
+        one in ACTIVITY_POSES and one == other for one, other in zip(names, before, strict=True)
+    ]
 
 
 def _between(

@@ -75,7 +75,7 @@ def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
     assert reader.passes == before + 2
 
 
-def test_a_person_at_rest_is_not_read_in_every_frame(
+def test_a_person_who_does_not_move_is_not_read_in_every_frame(
     session: CameraSession, drawn: Estimator
 ) -> None:
     reader = drawn.models.reader
@@ -96,7 +96,7 @@ def test_a_person_at_rest_is_not_read_in_every_frame(
     assert passes(8.0, walks(80), (1, 206)) == passes(8.1, walks(81), (1, 206)) == 2
 
 
-def test_a_person_at_rest_is_estimated_anew_if_something_else_is_asked(
+def test_an_unchanged_person_is_estimated_anew_if_something_else_is_asked(
     session: CameraSession, drawn: Estimator
 ) -> None:
     reader = drawn.models.reader

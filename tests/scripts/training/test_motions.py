@@ -55,16 +55,14 @@ def activity_joints(motions: Motions, avatar: Avatar, name: str) -> NDArray[np.f
 
 
 @pytest.mark.parametrize("kind", [kind for kind, (support, _) in DAILY.items() if support is None])
-def test_who_is_on_no_furniture_touches_the_ground_all_the_time(
+def test_people_on_no_furniture_touch_the_ground_all_the_time(
     motions: Motions, avatar: Avatar, kind: str
 ) -> None:
     joints = motions.daily(np.random.default_rng(1), kind).joints(avatar)
     np.testing.assert_allclose(joints[..., 1].min(axis=1), 0.06, atol=1e-6)
 
 
-def test_who_prays_kneels_and_bows_to_the_ground_more_than_once(
-    motions: Motions, avatar: Avatar
-) -> None:
+def test_people_who_pray_bow_to_the_ground_more_than_once(motions: Motions, avatar: Avatar) -> None:
     for seed in range(4):
         neck = motions.daily(np.random.default_rng(seed), "prays").joints(avatar)[:, _NECK, 1]
         assert neck[0] > 1.0
@@ -72,7 +70,9 @@ def test_who_prays_kneels_and_bows_to_the_ground_more_than_once(
         assert np.count_nonzero(np.diff(low.astype(int)) == 1) >= 2
 
 
-def test_who_wipes_the_floor_stays_and_moves_the_hands(motions: Motions, avatar: Avatar) -> None:
+def test_people_who_wipe_the_floor_stay_and_move_their_hands(
+    motions: Motions, avatar: Avatar
+) -> None:
     joints = motions.daily(np.random.default_rng(2), "cleans-floor").joints(avatar)[-60:]
     body = joints - joints[:, [_PELVIS]]
     moved = np.ptp(body, axis=0).max(axis=-1)
