@@ -39,6 +39,8 @@ _MAX_ELEVATION_DEG = 70.0
 _MIN_HORIZONTAL_DEG = 55.0
 # Largest height of the pelvis and the chest of a person lying.
 _MAX_LYING_HEIGHT = 0.5
+# Least height of the pelvis above both knees of a kneeling person whose trunk is on the thighs.
+_MIN_FOLDED_HEIGHT = 0.1
 # Largest height of the lowest hand or elbow of a person on all fours.
 _MAX_HAND_HEIGHT = 0.3
 # Largest height of the pelvis of a person on all fours.
@@ -136,13 +138,18 @@ def classify_postures(
 
     horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
     lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
+    low_chest = height["chest"] < _MAX_LYING_HEIGHT
+    flexed = np.einsum("nki,ni->nk", thighs, trunk).max(axis=1) < 0
+    on_thighs = flexed & (pelvis - knees.max(axis=1) > _MIN_FOLDED_HEIGHT)
+    prostrate = horizontal & lowered & low_chest & on_thighs
     conditions: dict[PostureName, NDArray[np.bool_]] = {
-        "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & (height["chest"] < _MAX_LYING_HEIGHT),
+        "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & low_chest & ~prostrate,
         "crawling": horizontal
+        & ~prostrate
         & unsupported
         & (hand < _MAX_HAND_HEIGHT)
         & (pelvis < _MAX_CRAWLING_HEIGHT),
-        "kneeling": lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT),
+        "kneeling": prostrate | (lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT)),
         "sitting": seated | (lowered & (on_floor | unsupported)),
         "bending": (tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
         "crouching": lowered,

@@ -17,6 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
+from app.vision.judgement import FRAME_POSTURES
 from index.build.body import (
     Avatar,
     about_vertical,
@@ -30,7 +31,7 @@ from index.build.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
 from scripts.training.render.makers import ACTIVITY_POSES, use_hands
 from scripts.training.render.pose import Pose, places_of
-from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, classes_of
+from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, class_of, classes_of
 
 Support = Literal["seat", "bed"]
 
@@ -185,6 +186,8 @@ class Motions:
     poses: PoseSource
     segments: list[Segment]
     clips: dict[str, Clip]
+    # Its joints say which class a pose is of.
+    avatar: Avatar
 
     @classmethod
     def open(cls, motion: Path, avatar: Avatar, *, held_out: bool) -> Motions:
@@ -198,7 +201,7 @@ class Motions:
 
         thinned = poses.take(np.arange(len(poses))[::3])
         source = PoseSource(thinned, classes_of(joints_of(thinned, avatar)))
-        return cls(source, segments, {clip.name: clip for clip in poses.clips})
+        return cls(source, segments, {clip.name: clip for clip in poses.clips}, avatar)
 
     def recorded(
         self, generator: Generator, *, walks: bool = False, seconds: float = FILM_S
@@ -273,13 +276,27 @@ class Motions:
         poses: list[Pose] = []
         for (name, *_), continued in zip(steps, goes_on, strict=True):
             if not continued:
-                make, draw = ACTIVITY_POSES.get(name), self.poses.draw
-                begun = self.poses.made(make, generator) if make else draw(name, generator)
+                make = ACTIVITY_POSES.get(name)
+                begun = (
+                    self.poses.made(make, generator) if make else self._of_class(name, generator)
+                )
                 poses.append(begun)
                 continue
             poses.append(replace(begun, rotations=begun.rotations.copy()))
             use_hands(poses[-1], _REACHES.get(name, 0.2), generator)
         return poses
+
+    def _of_class(self, name: str, generator: Generator) -> Pose:
+        """Draw a pose whose joints show the class; the last of many if none does."""
+        for _ in range(40):
+            pose = self.poses.draw(name, generator)
+            turned = pose_transforms(
+                self.avatar, retarget(pose.clip, self.avatar), pose.rotations[None]
+            )
+            joints = posed_points(self.avatar, turned)[0]
+            if FRAME_POSTURES[class_of(pose, joints)] == name:
+                break
+        return pose
 
     def fall(self, generator: Generator, kind: FallKind | None = None) -> Motion | None:
         """Simulate a person who falls; None if they do not stay on the ground.

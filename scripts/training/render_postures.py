@@ -33,7 +33,7 @@ HEAD_FIRST = 0.35
 """
 
 
-UNRECORDED, FALLEN = 0.15, 0.3
+UNRECORDED, FALLEN = 0.3, 0.3
 """Shares: of people in poses that no clip shows; of those who lie, of simulated falls."""
 
 

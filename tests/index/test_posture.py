@@ -100,6 +100,10 @@ BODIES: Mapping[str, tuple[PostureName, NDArray[np.float64]]] = {
     "bent over the raised knee": (
         "kneeling", body(right_shank=-105, left_thigh=110, left_shank=10, tilt=57, arms=10),
     ),
+    "prostrate, the seat on the heels": (
+        "kneeling", body(tilt=115, thighs=60, shanks=-110, arms=170),
+    ),
+    "prostrate, the seat up": ("kneeling", body(tilt=120, shanks=-105, arms=170)),
     "on all fours": ("crawling", body(tilt=85, shanks=-105)),
     "on hands and feet": ("crawling", body(tilt=100, thighs=50, shanks=-60)),
     "on the back": ("lying", body(tilt=-90, thighs=90, shanks=90, arms=90)),

@@ -30,6 +30,9 @@ RATE = 5
 NOBODY = 0.12
 """Share of films that show things alone, some of which move."""
 
+JUMPS = 0.4
+"""Share of the animals that jump up and down."""
+
 KINDS = (0.4, 0.35, 0.25)
 """Shares of falls, daily life and recorded motion in the others."""
 
@@ -118,9 +121,10 @@ class MovingThing:
     def of(
         cls, middle: NDArray[np.float64], materials: Materials, generator: Generator
     ) -> MovingThing:
-        """An animal that runs about, a chair or bag that is pulled, a door that swings."""
+        """An animal that runs and jumps, a chair or bag that is pulled, a door that swings."""
         makers = (furniture.animal, furniture.animal, *furniture.SUBJECTS, furniture.cupboard)
-        mesh = makers[generator.integers(len(makers))](materials, generator)
+        maker = makers[generator.integers(len(makers))]
+        mesh = maker(materials, generator)
         heading = generator.uniform(0, 2 * np.pi) + np.cumsum(
             generator.normal(0, generator.choice([0.05, 0.3]), FRAMES)
         )
@@ -130,6 +134,8 @@ class MovingThing:
             step[:, None] * np.stack([np.sin(heading), 0 * heading, np.cos(heading)], axis=1),
             axis=0,
         )
+        if maker is furniture.animal and generator.random() < JUMPS:
+            path[:, 1] = _jumps(generator)
         first = middle + generator.uniform(-1.5, 1.5, 3)
         return cls(mesh, (first - path.mean(axis=0)) * [1, 0, 1] + path, heading)
 
@@ -137,6 +143,18 @@ class MovingThing:
         """The thing in a frame."""
         turn = about_vertical(self.headings[frame : frame + 1])[0]
         return self.mesh.placed(turn, self.places[frame])
+
+
+def _jumps(generator: Generator) -> NDArray[np.float64]:
+    """Heights ``(FRAMES,)`` of an animal that jumps up, stays for a while, and jumps down."""
+    heights = np.zeros(FRAMES)
+    frame = int(generator.integers(1, 10))
+    while frame < FRAMES:
+        stays = int(generator.integers(1, 12))
+        heights[frame : frame + stays] = generator.uniform(0.2, 1.2)
+        frame += stays + int(generator.integers(2, 10))
+    # A jump takes about two frames.
+    return np.convolve(np.pad(heights, 1, "edge"), [0.25, 0.5, 0.25], "valid")
 
 
 @dataclass(frozen=True)

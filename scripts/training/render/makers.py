@@ -369,8 +369,9 @@ MAKERS: dict[str, Maker] = {
 """Poses that hardly any clip shows."""
 
 UNRECORDED: dict[str, tuple[Maker, ...]] = {
-    "standing": (stand_on_one_leg, lunge, fold_arms), "crouching": (squat_wide,),
-    "all_fours": (plank,), "sitting": (lean_on_arm,),
+    "standing": (stand_on_one_leg, lunge, fold_arms), "bending": (bow, bend_to_shoe),
+    "crouching": (squat_wide, sit_on_heels, prostrate, bend_to_shoe),
+    "all_fours": (plank, kneel_on_hands), "sitting": (lean_on_arm, bend_to_shoe_seated),
 }  # fmt: skip
 """Poses that no clip shows."""
 

@@ -57,6 +57,15 @@ def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
     return np.where(bent, FRAME_POSTURES.index("bending"), classes)
 
 
+def class_of(pose: Pose, joints: NDArray[np.floating]) -> int:
+    """Position in :data:`FRAME_POSTURES` of a pose whose joints ``(P, 3)`` are in body axes."""
+    if pose.posture is not None:
+        return FRAME_POSTURES.index(pose.posture)
+    found = int(classes_of(joints[None])[0])
+    leans = pose.support == "seat" and FRAME_POSTURES[found] in ("bending", "crouching")
+    return FRAME_POSTURES.index("sitting") if leans or pose.support == "cycle" else found
+
+
 @dataclass
 class PoseSource:
     """Draws poses of a class, given recorded ones and the class of each."""
@@ -98,11 +107,8 @@ class PoseSource:
         if name == "lying" and generator.random() < self.fallen:
             return self._fallen(int(generator.integers(FALLEN_POSES)), generator)
         if name in UNRECORDED and generator.random() < self.unrecorded:
-            pose = self.recorded(standing, generator)
             makers_of = UNRECORDED[name]
-            makers_of[generator.integers(len(makers_of))](pose, generator)
-            pose.rotations = turned_to_front(pose.rotations[None])[0]
-            return pose
+            return self.made(makers_of[generator.integers(len(makers_of))], generator)
         made = name in MAKERS and not (self.has(wanted) and generator.random() < 0.4)
         base = standing
         if name == "lying" and generator.random() < 0.5:

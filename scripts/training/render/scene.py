@@ -22,7 +22,7 @@ from scripts.training.render.development import develop
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import Mesh, joined
 from scripts.training.render.people import MIRRORED, Person, cast, person_materials, posed_landmarks
-from scripts.training.render.posing import SHARES, PoseSource, classes_of, read_pose_source
+from scripts.training.render.posing import SHARES, PoseSource, class_of, read_pose_source
 from scripts.training.render.raster import (
     NOTHING,
     paint_room,
@@ -172,12 +172,7 @@ class Studio:
             person.avatar, retarget(pose.clip, person.avatar), pose.rotations[None]
         )
         joints = posed_points(person.avatar, turned)[0]
-        posture = int(classes_of(joints[None])[0])
-        leans = pose.support == "seat" and FRAME_POSTURES[posture] in ("bending", "crouching")
-        if leans or pose.support == "cycle":
-            posture = FRAME_POSTURES.index("sitting")
-        if pose.posture is not None:
-            posture = FRAME_POSTURES.index(pose.posture)
+        posture = class_of(pose, joints)
         if FRAME_POSTURES[posture] != wanted or (wanted == "lying" and not _rests(joints)):
             return None
         moved = np.ascontiguousarray(turned[0], np.float32)

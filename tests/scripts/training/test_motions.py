@@ -12,7 +12,8 @@ from index.build.body import (
     posed_points,
     retarget,
 )
-from index.skeleton import JOINT_NAMES, rows
+from index.posture import POSTURES, classify_postures
+from index.skeleton import BODY_UP, JOINT_NAMES, rows
 from scripts.training.motions import DAILY, Motions
 from scripts.training.render.makers import ACTIVITY_POSES
 from tests.conftest import ROOT
@@ -89,6 +90,12 @@ def test_activities_rest_on_what_their_name_says(motions: Motions, avatar: Avata
     assert np.median(height["prostrate"][:, _KNEES]) < 0.3
     assert np.median(height["on-floor"][:, _WRISTS].min(axis=1)) < 0.2
     assert np.median(height["on-floor"][:, _KNEES].min(axis=1)) < 0.2
+
+
+def test_people_who_prostrate_themselves_kneel(motions: Motions, avatar: Avatar) -> None:
+    postures = classify_postures(activity_joints(motions, avatar, "prostrate"), BODY_UP)
+    assert np.mean(postures == POSTURES.index("kneeling")) >= 0.75
+    assert np.mean(postures == POSTURES.index("lying")) <= 0.2
 
 
 @pytest.mark.parametrize("name", ["at-shoe", "at-shoe-seated"])
