@@ -75,7 +75,7 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
 
 
 @pytest.fixture(scope="session")
-def toy_index(simulation: Simulation) -> PoseIndex:
+def body_index(simulation: Simulation) -> PoseIndex:
     """An index of 576 silhouettes of box bodies."""
     return index_of(simulation)
 

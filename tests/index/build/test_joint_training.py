@@ -24,8 +24,8 @@ from scripts.training.train_reranker import (  # noqa: E402
 
 
 @pytest.fixture(scope="module")
-def examples(toy_index: PoseIndex) -> Examples:
-    return Examples.of(toy_index, np.arange(0, len(toy_index), 4), np.random.default_rng(0))
+def examples(body_index: PoseIndex) -> Examples:
+    return Examples.of(body_index, np.arange(0, len(body_index), 4), np.random.default_rng(0))
 
 
 def test_joints_lie_on_the_silhouettes_however_they_are_shown(examples: Examples) -> None:
@@ -42,9 +42,9 @@ def test_joints_lie_on_the_silhouettes_however_they_are_shown(examples: Examples
     assert (on_person & inside).mean() > 0.9
 
 
-def test_whole_numbers_give_about_what_was_trained(toy_index: PoseIndex) -> None:
-    layers = train(toy_index, np.arange(64), TrainingConfig(passes=1.0, batch=32)).eval()
-    planes = network_input(toy_index.silhouettes(np.arange(64)))
+def test_whole_numbers_give_about_what_was_trained(body_index: PoseIndex) -> None:
+    layers = train(body_index, np.arange(64), TrainingConfig(passes=1.0, batch=32)).eval()
+    planes = network_input(body_index.silhouettes(np.arange(64)))
     with torch.no_grad():
         logits = layers(torch.from_numpy(planes).permute(0, 3, 1, 2)).numpy()
     logits = logits.reshape(-1, JOINTS, JOINT_BINS)
@@ -54,39 +54,39 @@ def test_whole_numbers_give_about_what_was_trained(toy_index: PoseIndex) -> None
     assert np.sqrt((off**2).mean()) < 0.05 * logits.std()
 
 
-def test_training_may_go_on_from_what_was_trained(toy_index: PoseIndex) -> None:
+def test_training_may_go_on_from_what_was_trained(body_index: PoseIndex) -> None:
     rows, nearly_still = (
-        np.arange(0, len(toy_index), 4),
+        np.arange(0, len(body_index), 4),
         TrainingConfig(passes=0.1, batch=32, rate=1e-9),
     )
-    layers = train(toy_index, rows, TrainingConfig(passes=1.0, batch=32))
+    layers = train(body_index, rows, TrainingConfig(passes=1.0, batch=32))
     before = [parameter.detach().clone() for parameter in layers.parameters()]
-    later = train(toy_index, rows, nearly_still, start=layers)
+    later = train(body_index, rows, nearly_still, start=layers)
     for ours, theirs, kept in zip(later.parameters(), layers.parameters(), before, strict=True):
         assert_allclose(ours.detach(), theirs.detach(), atol=1e-6)
         assert_array_equal(theirs.detach(), kept)
 
 
 @pytest.mark.slow
-def test_training_finds_the_joints_likelier_and_gives_the_same_twice(toy_index: PoseIndex) -> None:
-    rows = np.arange(len(toy_index))
+def test_training_finds_the_joints_likelier_and_gives_the_same_twice(body_index: PoseIndex) -> None:
+    rows = np.arange(len(body_index))
     trained, again = (
-        train(toy_index, rows, TrainingConfig(passes=4.0, batch=32)) for _ in range(2)
+        train(body_index, rows, TrainingConfig(passes=4.0, batch=32)) for _ in range(2)
     )
     for ours, theirs in zip(trained.parameters(), again.parameters(), strict=True):
         assert_array_equal(ours.detach(), theirs.detach())
-    untrained = train(toy_index, rows, TrainingConfig(passes=0.01, batch=32))
+    untrained = train(body_index, rows, TrainingConfig(passes=0.01, batch=32))
     likelihoods = [
         np.mean(
             [
-                network.read(toy_index.silhouette(row)).joints.log_likelihood(
-                    joint_positions(*toy_index.points(np.array([row])))
+                network.read(body_index.silhouette(row)).joints.log_likelihood(
+                    joint_positions(*body_index.points(np.array([row])))
                 )
-                for row in range(0, len(toy_index), 20)
+                for row in range(0, len(body_index), 20)
             ]
         )
         for network in (
-            in_whole_numbers(layers, network_input(toy_index.silhouettes(rows[:100])))
+            in_whole_numbers(layers, network_input(body_index.silhouettes(rows[:100])))
             for layers in (trained, untrained)
         )
     ]

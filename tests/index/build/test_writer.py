@@ -174,8 +174,8 @@ class TestHalved:
             assert not (shown == 2).any()
             assert_array_equal(shown > 2, blocks)
 
-    def test_outlines_hardly_move_and_take_half_the_bytes(self, toy_index: PoseIndex) -> None:
-        stored = toy_index.silhouette_store
+    def test_outlines_hardly_move_and_take_half_the_bytes(self, body_index: PoseIndex) -> None:
+        stored = body_index.silhouette_store
         rows = np.arange(len(stored))
         fewer = halved(stored)
         pairs = zip(stored.take(rows), fewer.take(rows), strict=True)
