@@ -70,10 +70,18 @@ numbers = st.one_of(
     st.floats(allow_nan=True, allow_infinity=True),
     st.sampled_from(["1", None, True, [], {}]),
 )
+BOXES = st.tuples(
+    st.integers(-20, 300), st.integers(-20, 220), st.integers(1, 90), st.integers(1, 120)
+).map(list)
 
 
 @relaxed
-@given(boxes=st.lists(st.lists(numbers, max_size=6), max_size=5))
+@given(
+    boxes=st.one_of(
+        st.lists(BOXES, max_size=3),
+        st.lists(st.one_of(BOXES, st.lists(numbers, max_size=6)), max_size=5),
+    )
+)
 def test_any_boxes_get_a_valid_answer(client: TestClient, photo: Photo, boxes: list[Any]) -> None:
     response = client.post(
         "/pose", files={"frame": photo.frame_png}, data={"boxes": json.dumps(boxes)}

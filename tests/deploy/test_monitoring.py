@@ -23,7 +23,10 @@ RULES: list[dict[str, Any]] = [
 PANELS: list[dict[str, Any]] = [panel for panel in DASHBOARD["panels"] if panel["type"] != "row"]
 EXPRESSIONS = {
     **{rule["alert"]: [rule["expr"]] for rule in RULES},
-    **{panel["title"]: [target["expr"] for target in panel["targets"]] for panel in PANELS},
+    **{
+        f"{panel['title']} ({panel['type']})": [target["expr"] for target in panel["targets"]]
+        for panel in PANELS
+    },
     "variables": [variable["query"]["query"] for variable in DASHBOARD["templating"]["list"][1:]],
     "annotations": [annotation["expr"] for annotation in DASHBOARD["annotations"]["list"]],
 }

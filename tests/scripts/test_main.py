@@ -34,6 +34,8 @@ def test_every_command_is_there(name: str) -> None:
     try:
         imported = importlib.import_module(module)
     except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] in ("app", "descriptor", "index", "scripts"):
+            raise
         pytest.skip(f"needs {error.name}, of an extra")
     inspect.signature(imported.main).bind([])
 

@@ -53,7 +53,7 @@ def checkout() -> Iterator[Server]:
         yield server
 
 
-def test_the_wheel_holds_exactly_what_serving_needs(wheel: Path) -> None:
+def test_the_wheel_holds_what_serving_needs_and_no_builder(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         (metadata,) = (name for name in names if name.endswith(".dist-info/METADATA"))
@@ -62,7 +62,8 @@ def test_the_wheel_holds_exactly_what_serving_needs(wheel: Path) -> None:
     assert licences == {"LICENSE", "NOTICE"}
     networks = {model["file"] for model in json.loads(MODELS.read_text()).values()}
     needed = {f"app/vision/models/{file}" for file in (*networks, "models.json", "fitted.json")}
-    needed.add("app/tracking/models/actions.json")
+    models = ROOT / "app" / "tracking" / "models"
+    needed |= {f"app/tracking/models/{path.name}" for path in models.iterdir()}
     needed |= {f"index/data/{path.name}" for path in DEFAULT_PATH.iterdir()}
     needed |= {f"app/static/{path.name}" for path in (ROOT / "app" / "static").iterdir()}
     assert needed <= names

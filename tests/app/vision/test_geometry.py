@@ -39,7 +39,8 @@ def test_clipped_box_lies_inside_the_frame(box: Box) -> None:
     if clipped is None:
         assert Box(-0.5, -0.5, 40, 30).intersection(box) == 0
     else:
-        assert clipped.x >= -0.5 and clipped.right <= 39.5 + 1e-9 and clipped.bottom <= 29.5 + 1e-9
+        assert min(clipped.x, clipped.y) >= -0.5
+        assert clipped.right <= 39.5 + 1e-9 and clipped.bottom <= 29.5 + 1e-9
         assert clipped.area <= box.area + 1e-6
 
 

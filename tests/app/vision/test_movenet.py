@@ -188,7 +188,7 @@ def test_person_is_in_the_middle_of_the_keypoint_window(
     assert abs(left - 0.5 + columns / 2 - (x + width / 2)) <= 1
     assert abs(top - 0.5 + rows / 2 - (y + height / 2)) <= 1
     share = max(width / columns, height / rows)
-    assert share == pytest.approx(1 / KEYPOINT_WINDOW_SCALE, rel=0.6 / min(columns, 1))
+    assert share == pytest.approx(1 / KEYPOINT_WINDOW_SCALE, rel=0.6 / min(columns, rows))
     # The long side is along the person, and nothing is squeezed.
     assert tuple(shown) == KEYPOINT_WINDOW_PX[:: 1 if width > height else -1]
     assert abs(columns * shown[1] - rows * shown[0]) <= max(shown)

@@ -16,13 +16,11 @@ from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, rows
 from scripts.training.motions import DAILY, Motions
 from scripts.training.render.makers import ACTIVITY_POSES
-from tests.conftest import ROOT
-
-SHARED = ROOT.parent / "shared"
+from tests.conftest import SHARED
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason="needs ../shared/mocap"),
+    pytest.mark.skipif(not (SHARED / "mocap").is_dir(), reason=f"needs {SHARED / 'mocap'}"),
 ]
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
