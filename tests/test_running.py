@@ -82,9 +82,9 @@ def test_every_metric_is_described_and_no_other(client: TestClient) -> None:
 
 
 def test_every_field_of_a_log_line_is_described(
-    client: TestClient, caplog: pytest.LogCaptureFixture
+    client: TestClient, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.handler.setFormatter(JsonFormatter())
+    monkeypatch.setattr(caplog.handler, "formatter", JsonFormatter())
     with caplog.at_level(logging.INFO, logger="app"):
         client.post("/pose", files={"frame": b"?"})
     fields = set(json.loads(caplog.text.splitlines()[-1]))

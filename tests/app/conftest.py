@@ -1,3 +1,5 @@
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 import pytest
@@ -23,12 +25,13 @@ def drawn(tiny_index: PoseIndex) -> Estimator:
 
 
 @pytest.fixture
-def detector(drawn: Estimator) -> ColourDetector:
+def detector(drawn: Estimator) -> Iterator[ColourDetector]:
     detector = drawn.models.detector
     assert isinstance(detector, ColourDetector)
     detector.searches = detector.room = 0
     detector.blind = False
-    return detector
+    yield detector
+    detector.room, detector.blind = 0, False
 
 
 @pytest.fixture

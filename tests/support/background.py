@@ -5,21 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import httpx
-
-
-@dataclass(frozen=True)
-class Reply:
-    """A complete answer, and when it came (monotonic seconds)."""
-
-    at: float
-    response: httpx.Response
-
-    @property
-    def status(self) -> int:
-        return self.response.status_code
 
 
 class BackgroundLoop:
@@ -28,7 +15,7 @@ class BackgroundLoop:
     def __init__(
         self, url: str, request: Callable[[httpx.Client], httpx.Response], clients: int = 2
     ) -> None:
-        self.replies: list[Reply] = []
+        self.responses: list[httpx.Response] = []
         self.broken = 0
         self._url, self._request = url, request
         self._ended = threading.Event()
@@ -52,15 +39,6 @@ class BackgroundLoop:
                 except httpx.TransportError:
                     self.broken += 1
                     continue
-                self.replies.append(Reply(time.monotonic(), response))
+                self.responses.append(response)
                 if response.status_code == 503:
                     time.sleep(0.1)
-
-    def wait_for(self, status: int, timeout_s: float = 10) -> None:
-        """Wait for an answer of a status that comes from now on."""
-        began = time.monotonic()
-        while time.monotonic() < began + timeout_s:
-            if any(reply.status == status and reply.at > began for reply in self.replies):
-                return
-            time.sleep(0.01)
-        raise TimeoutError(f"no answer of status {status} came in {timeout_s:g} s")

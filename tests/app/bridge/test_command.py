@@ -238,7 +238,9 @@ def test_a_stop_is_clean_and_shows_no_password(tmp_path: Path) -> None:
         expected = "the source gives no frame" if "//" in source[:7] else "does not answer"
         log = ""
         while expected not in log:
-            log += process.stderr.readline()
+            line = process.stderr.readline()
+            assert line, log
+            log += line
         process.terminate()
         log += process.communicate(timeout=20)[1]
         assert process.returncode == 0, log
@@ -322,6 +324,7 @@ def test_a_fall_on_film_is_detected_by_a_real_service(
     assert run([str(tmp_path / "yard.avi"), "yard", "--url", server.url]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     kept = httpx.get(f"{server.url}/cameras/yard/events").json()["events"]
+    assert httpx.delete(f"{server.url}/cameras/yard").status_code == 204
     assert names(printed) == names(kept)
     assert names(printed)[0] == "entered"
     assert sorted(names(printed)[1:]) == ["fell", "lying"]

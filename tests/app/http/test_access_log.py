@@ -17,9 +17,12 @@ from tests.support.service import check_problem, sample
 
 
 def test_logs_are_json_with_the_request_id_and_no_content(
-    client: TestClient, photo: Photo, caplog: pytest.LogCaptureFixture
+    client: TestClient,
+    photo: Photo,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    caplog.handler.setFormatter(JsonFormatter())
+    monkeypatch.setattr(caplog.handler, "formatter", JsonFormatter())
     with caplog.at_level(logging.INFO, logger="app"):
         response = client.post(
             "/pose",
@@ -50,7 +53,7 @@ def test_an_unhandled_error_is_a_problem_whose_id_is_in_the_log(
         raise RuntimeError("secret")
 
     monkeypatch.setattr(Estimator, "estimate", fail)
-    caplog.handler.setFormatter(JsonFormatter())
+    monkeypatch.setattr(caplog.handler, "formatter", JsonFormatter())
     with serving() as client:
         response = client.post(
             "/pose", files={"frame": photo.frame_png}, headers={"X-Request-ID": "camera-7.43"}
