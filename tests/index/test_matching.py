@@ -44,7 +44,7 @@ View = tuple[NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]
 
 
 @pytest.fixture(scope="module")
-def new_views(toy_index: PoseIndex) -> list[View]:
+def new_views() -> list[View]:
     """Poses of the index in views that it does not have: silhouette, joints, joints in pixels."""
     generator, found = np.random.default_rng(99), []
     for skeleton in movement(48):

@@ -52,9 +52,7 @@ def test_people_are_drawn_into_a_video(
     assert not changed[500:, 500:].any()
 
 
-def test_a_file_that_is_no_video_is_refused(
-    index_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_that_is_no_video_is_refused(index_path: Path, tmp_path: Path) -> None:
     (tmp_path / "notes.avi").write_bytes(b"no video")
     with pytest.raises(SystemExit, match="expected a video, got something else"):
         run(tmp_path / "notes.avi", tmp_path / "out.mp4", "--index", index_path)

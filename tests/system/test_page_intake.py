@@ -137,7 +137,7 @@ def test_which_of_two_pictures_of_a_scene_is_empty_is_asked(page: Any, tmp_path:
     assert page.locator("#message").is_hidden()
 
 
-def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server, photo: Photo) -> None:
+def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server) -> None:
     page = browser.new_page(viewport={"width": 320, "height": 844})
     try:
         page.goto(key_server.url)

@@ -143,9 +143,7 @@ def test_the_sensor_of_a_fall_turns_on_by_its_own_template(ward: Ward) -> None:
     eventually(lambda: state() == "ON")
 
 
-def test_a_zone_that_went_while_the_bridge_did_not_run_is_withdrawn(
-    ward: Ward, tmp_path: Path
-) -> None:
+def test_a_zone_that_went_while_the_bridge_did_not_run_is_withdrawn(ward: Ward) -> None:
     ward.home.show(0, {"bed": True, "floor": False})
     eventually(ward.shows(**{"zones/bed": "ON", "zones/floor": "OFF"}))
     successor = HomeAssistant(urlsplit(ward.broker.address), "ward.1")

@@ -10,7 +10,7 @@ from app.estimation.results import Person
 from app.tracking.falls import REPORTED_LOST_FROM
 from app.tracking.track import BoxFilter, Track, associate
 from app.tracking.zones import Zone
-from app.vision.appearance import Patch, colour_distance, colours_of
+from app.vision.appearance import Patch
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture, Trust
 from app.vision.people import Silhouette
@@ -307,30 +307,3 @@ def test_a_person_who_is_much_smaller_all_at_once_stays_the_same(
         track.see(first, interval_s * number)
     track.see(second, 6 * interval_s)
     assert associate([track], [third], 6 * interval_s + gap_s) == [track]
-
-
-def test_clothes_of_two_people_differ() -> None:
-    frame = np.zeros((60, 80, 3), np.uint8)
-    frame[10:50, 10:30] = (20, 20, 200)
-    frame[10:50, 40:60] = (200, 20, 20)
-    crop = np.ones((40, 20), bool)
-    red, blue = (
-        colours_of(frame, Silhouette(crop, left, 10, "network", False)) for left in (10, 40)
-    )
-    assert red.shape == (80,) and red.sum() == pytest.approx(1)
-    assert colour_distance(red, red) == pytest.approx(0, abs=1e-3)
-    assert colour_distance(red, blue) > 0.6
-
-
-def test_a_patch_is_shown_until_its_person_moves() -> None:
-    rng = np.random.default_rng(3)
-    floor = np.full((200, 300, 3), 120, np.uint8)
-    lies = floor.copy()
-    lies[120:160, 100:200] = (60, 40, 160)
-    patch = Patch.of(lies, Box(95, 115, 110, 50))
-    noisy = np.clip(lies + rng.normal(0, 6, lies.shape), 0, 255).astype(np.uint8)
-    darker = (lies * 0.9).astype(np.uint8)
-    elsewhere = floor.copy()
-    elsewhere[120:160, 150:250] = (60, 40, 160)
-    assert patch.is_shown_by(lies) and patch.is_shown_by(noisy) and patch.is_shown_by(darker)
-    assert not patch.is_shown_by(floor) and not patch.is_shown_by(elsewhere)

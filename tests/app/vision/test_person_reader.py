@@ -172,7 +172,7 @@ def test_cut_off_person_is_read_as_part_of_a_whole_body(
     assert landmarks.visibility[head].max() < 0.5
 
 
-def test_window_of_a_whole_person_is_not_extended(walkers: list[Box]) -> None:
+def test_window_of_a_whole_person_is_not_extended() -> None:
     seen = ObservedKeypoints(np.full((17, 2), 50.0), np.ones(17))
     at_border = Box(-0.5, -0.5, 50, 100)
     assert window_beyond_border(seen, at_border, (200, 200, 3)) == []

@@ -92,9 +92,7 @@ class TestWideBodies:
         assert inside.mean() > 0.97
 
 
-def test_cameras_look_down_on_who_lies(
-    ground_simulation: Simulation, laid: Poses, avatars: list[Avatar]
-) -> None:
+def test_cameras_look_down_on_who_lies(ground_simulation: Simulation, laid: Poses) -> None:
     lies = np.repeat(ground_simulation.skeleton_labels["action"] > 1, 12)
     assert lies.sum() == 12 * len(laid)
     elevations = ground_simulation.entries["elevation_deg"]
