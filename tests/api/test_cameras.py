@@ -1,4 +1,4 @@
-"""Frames of cameras over HTTP: order, state, callers, limits."""
+"""Frames of cameras over HTTP: state, order, callers, covered views."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -71,7 +71,7 @@ def gate(monkeypatch: pytest.MonkeyPatch) -> Gate:
 
 
 class TestOrder:
-    """One camera's frames come one after the other, the newest first; two cameras' side by side."""
+    """Of one camera's waiting frames only the newest stays."""
 
     Ask = Callable[[TestClient, Photo], Any]
 

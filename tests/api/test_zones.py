@@ -160,13 +160,11 @@ class TestEvents:
         ]
 
 
-class TestNames:
+class TestMisdrawn:
     def test_a_zone_whose_border_crosses_itself_is_named(self, client: TestClient) -> None:
         bow = {"name": "bow", "kind": "watch", "polygon": [[0, 0], [90, 90], [90, 0], [0, 90]]}
         assert configure(client, bow, RIGHT).json()["zones_crossing"] == ["bow"]
 
-
-class TestPeople:
     def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:
         away = {"name": "away", "kind": "watch", "polygon": [[400, 0], [500, 0], [450, 90]]}
         assert configure(client, LEFT, away, RIGHT).json()["zones_outside"] == []

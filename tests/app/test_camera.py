@@ -28,7 +28,7 @@ def events(result: TrackedFrame) -> list[tuple[str, int]]:
 def test_all_but_poses_is_the_same_whether_or_not_poses_are_wanted(
     estimator: Estimator, street: NDArray[np.uint8]
 ) -> None:
-    """Two walkers in front of a camera that sways, read by the networks."""
+    """A street of five people before a camera that sways, read by the networks."""
     answers = []
     for n in (0, 7):
         session, seen = CameraSession(estimator), []

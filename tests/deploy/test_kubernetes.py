@@ -75,7 +75,7 @@ class TestService:
             assert probe["httpGet"]["path"] in BALANCER.split("frontend operations")[1]
             assert probe["httpGet"]["port"] in port_names(HAPROXY)
 
-    def test_settings_are_settings(self) -> None:
+    def test_every_setting_that_is_named_exists(self) -> None:
         ours = {name for name in VALUES if name.startswith("POSE_")}
         assert ours
         assert ours <= set(VARIABLES)

@@ -1,4 +1,4 @@
-"""Krawtchouk polynomials against their definition, their Jacobi matrix and each other."""
+"""Krawtchouk polynomials against their definition and each other, and moments by them."""
 
 from fractions import Fraction
 from math import comb, sqrt

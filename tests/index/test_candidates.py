@@ -67,7 +67,8 @@ def test_landmark_rotations_are_few_and_the_most_frequent(
     def apart(one: float, other: float) -> float:
         return abs((one - other + 180) % 360 - 180)
 
-    # Each is a usual one or a multiple of a step, within one and a half steps of half a step.
+    # Each is a usual one or a multiple of a step, at most a step from some roll: half by rounding,
+    # half by merging.
     for rotation in found:
         assert rotation in usual or rotation % ROTATION_STEP_DEG == 0
         assert min(apart(rotation, roll) for roll in rolls) <= ROTATION_STEP_DEG + 1e-6

@@ -44,7 +44,7 @@ def test_corners_on_a_line_have_no_area(turn: float, shift: float, along: list[f
 
 
 @pytest.mark.parametrize("polygon", [SQUARE, ELL, SQUARE[[0, 2, 1, 3]], SQUARE / 10])
-def test_polygons_that_cross_themselves_have_an_area(polygon: NDArray[np.float64]) -> None:
+def test_polygons_have_an_area_even_if_they_cross_themselves(polygon: NDArray[np.float64]) -> None:
     assert has_area(polygon)
 
 

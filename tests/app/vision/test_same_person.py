@@ -49,7 +49,7 @@ def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
         assert first == [0, int(share > 0.12)]
 
 
-def test_without_keypoints_the_boxes_alone_tell_detections_apart() -> None:
+def test_boxes_tell_people_apart_and_keypoints_bodies_in_one_place() -> None:
     box, nearly, beside = Box(40, 30, 60, 160), Box(43, 30, 60, 160), Box(60, 30, 60, 160)
     body = detected(painted(box), box)
     for other, people, others in (

@@ -1,4 +1,4 @@
-"""Silhouettes: each pixel is one person's; bodies that the frame or a nearer person cuts."""
+"""Silhouettes: each pixel is one person's, within the box and the frame."""
 
 from dataclasses import replace
 

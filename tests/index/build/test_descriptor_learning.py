@@ -1,4 +1,4 @@
-"""The learned descriptor: reproducible, and better at telling poses apart than chance."""
+"""The learned descriptor: reproducible, and better at telling poses apart than the paper's."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -31,7 +31,7 @@ def test_directions_scatter_alike_within_and_are_ordered_by_their_variance(
     assert spread[0] > 5 * spread[-1]
 
 
-def test_finds_poses_of_another_body_better_than_the_papers(
+def test_poses_of_other_frames_are_found_better_than_by_the_papers_descriptor(
     poses: Poses, avatars: list[Avatar]
 ) -> None:
     """Learned on one half of the frames, asked with the other half on other views."""

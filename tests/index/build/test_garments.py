@@ -131,6 +131,6 @@ class TestMalformed:
         assert text in message
 
     @pytest.mark.parametrize("face", ["f 1 2 9", "f 1 2", "f 0 1 2", "f a b c"])
-    def test_mesh_with_a_face_beyond_its_vertices(self, patch: Path, face: str) -> None:
+    def test_a_malformed_face_is_named(self, patch: Path, face: str) -> None:
         patch.with_suffix(".obj").write_text(OBJ + face + "\n")
         assert "line 6 of" in self.fails(patch)

@@ -1,4 +1,4 @@
-"""The soak's mixture: each kind of bad request is answered as it is meant to be."""
+"""The soak: its late frames are late, and what it measures is judged."""
 
 from fastapi.testclient import TestClient
 
