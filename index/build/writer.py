@@ -124,7 +124,8 @@ def _own_names(path: Path) -> set[str]:
         return set()
     if not is_index:
         return set()
-    return {MANIFEST, RERANKING_JSON, RERANKING_NPZ, *names, *(f"{name}.xz" for name in names)}
+    beside = {MANIFEST, RERANKING_JSON, RERANKING_NPZ, POSTURES_NPZ}
+    return {*beside, *names, *(f"{name}.xz" for name in names)}
 
 
 @contextmanager

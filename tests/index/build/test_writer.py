@@ -11,8 +11,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import outline_distances, pack
+from index import DEFAULT_PATH
 from index.artefact import ArtefactError, load_index
-from index.build.writer import compress, halved, save_index
+from index.build.writer import check_replaceable, compress, halved, save_index
 from index.store import PoseIndex
 from tests.index.helpers import contents, seal
 from tests.support.programs import run
@@ -32,6 +33,10 @@ class TestReplacing:
         assert not (saved / "of-another-format.npy.xz").exists()
         assert not (saved / "reranking.json").exists()
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+    def test_the_index_of_the_service_may_be_replaced(self) -> None:
+        assert (DEFAULT_PATH / "postures.npz").exists()
+        check_replaceable(DEFAULT_PATH)
 
     def test_a_link_stays_a_link(self, toy_index: PoseIndex, saved: Path, tmp_path: Path) -> None:
         (tmp_path / "current").symlink_to(saved)
