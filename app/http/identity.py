@@ -32,11 +32,11 @@ class Caller(NamedTuple):
 
 
 class CameraStream(NamedTuple):
-    """Identifies the frames of one camera: they share its name, route and credentials."""
+    """Identifies the frames of one camera: they share its name, route and API key."""
 
     camera: str
     path: str
-    credentials: tuple[bytes, bytes]
+    key: int | None
 
 
 class Identity(NamedTuple):
@@ -77,7 +77,7 @@ def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
     key = position_of_key(api_keys, given)
     address, _ = scope.get("client") or ("", 0)
     is_authorised = not api_keys or key is not None
-    stream = _camera_stream(scope)
+    stream = _camera_stream(scope, key)
     return Identity(Caller(key, address), stream, is_authorised, any(given))
 
 
@@ -104,14 +104,13 @@ def position_of_key(api_keys: Sequence[SecretStr], given: Iterable[str | None]) 
     return matches[0] if matches else None
 
 
-def _camera_stream(scope: Scope) -> CameraStream | None:
+def _camera_stream(scope: Scope, key: int | None) -> CameraStream | None:
     headers = dict(scope["headers"])
     session = _FRAMES_PATH.fullmatch(scope["path"])
     camera = session[1].encode() if session else headers.get(CAMERA_HEADER.lower().encode())
     if camera is None or not _CAMERA_PATTERN_BYTES.match(camera):
         return None
-    credentials = headers.get(b"x-api-key", b""), headers.get(b"authorization", b"")
-    return CameraStream(camera.decode(), scope["path"], credentials)
+    return CameraStream(camera.decode(), scope["path"], key)
 
 
 def unauthorised(*, has_key: bool) -> ProblemError:

@@ -33,17 +33,23 @@ def test_a_caller_is_known_by_its_key(headers: dict[str, str], position: int | N
     )
 
 
-def test_a_stream_is_the_frames_of_one_camera_route_and_caller() -> None:
-    yard = identity(x_camera_id="yard").stream
-    assert yard == identity(x_camera_id="yard", accept="*/*").stream
+def test_a_stream_is_the_frames_of_one_camera_route_and_key() -> None:
+    yard = identity(keys=KEYS, x_camera_id="yard", x_api_key="first").stream
+    assert yard == identity(keys=KEYS, x_camera_id="yard", authorization="Bearer first").stream
     others = (
-        identity(x_camera_id="gate"),
-        identity("/silhouette", x_camera_id="yard"),
-        identity("/cameras/yard/frames"),
-        identity(x_camera_id="yard", x_api_key="other"),
-        identity(x_camera_id="yard", authorization="Bearer other"),
+        identity(keys=KEYS, x_camera_id="gate", x_api_key="first"),
+        identity("/silhouette", KEYS, x_camera_id="yard", x_api_key="first"),
+        identity("/cameras/yard/frames", KEYS, x_api_key="first"),
+        identity(keys=KEYS, x_camera_id="yard", x_api_key="second"),
     )
-    assert len({yard, *(other.stream for other in others)}) == 6
+    assert len({yard, *(other.stream for other in others)}) == 5
+
+
+def test_without_keys_credentials_make_no_other_stream() -> None:
+    """As those of a proxy: all callers share the cameras."""
+    yard = identity(x_camera_id="yard").stream
+    assert yard == identity(x_camera_id="yard", authorization="Basic eA==").stream
+    assert yard == identity(x_camera_id="yard", x_api_key="any").stream
 
 
 @pytest.mark.parametrize("name", ["", "..", "a b", "x" * 65])
