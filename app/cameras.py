@@ -206,7 +206,9 @@ class CameraSessions:
                 if begins:
                     self._open[key] = opened
                     self._on_begin()
-                self._events.setdefault(key, deque(maxlen=KEPT_EVENTS)).extend(frame.events)
+                # Unless the camera was forgotten meanwhile.
+                if self._open.get(key) is opened:
+                    self._events.setdefault(key, deque(maxlen=KEPT_EVENTS)).extend(frame.events)
                 self._shrink()
         finally:
             opened.busy = False

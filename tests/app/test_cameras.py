@@ -15,7 +15,7 @@ from app.cameras import (
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.results import TrackedFrame
+from app.tracking.results import Event, TrackedFrame
 from app.vision.optics import Optics
 from tests.app.tracking.people import result_of
 
@@ -47,7 +47,8 @@ class FakeSession:
         self.frames += 1
         at = float(self.frames if timestamp is None else timestamp)
         session = "new" if self.frames == 1 else "warm"
-        return result_of(self.frames - 1, at, width=n, session=session)
+        entered = Event("entered", 1, "instant", at, 1.0)
+        return result_of(self.frames - 1, at, width=n, session=session, events=(entered,))
 
 
 class Registry(CameraSessions):
@@ -191,6 +192,18 @@ def test_a_forgotten_camera_starts_afresh_even_if_busy() -> None:
     assert registry.cameras() == []
     assert registry.send("yard") == "new"
     assert registry.ended == ["forgotten"]
+
+
+def test_events_of_a_frame_do_not_outlive_its_forgotten_camera() -> None:
+    registry = Registry(3, 1_000_000, "yard")
+    yard = CameraKey(0, "yard")
+    registry.send("yard")
+    registry.while_working = lambda: registry.forget(yard)
+    registry.send("yard")
+    registry.while_working = lambda: None
+    assert registry.events(yard) == ()
+    registry.send("yard")
+    assert len(registry.events(yard)) == 1
 
 
 def test_cameras_are_known_by_a_session_or_settings_or_the_file() -> None:
