@@ -33,7 +33,10 @@ def available_cores() -> int:
     ----------
     .. [1] Linux kernel, "Control Group v2", ``cpu.max``; "CFS Bandwidth Control" (v1).
     """
-    allowed = len(os.sched_getaffinity(0))
+    if hasattr(os, "sched_getaffinity"):  # Not on macOS and Windows.
+        allowed = len(os.sched_getaffinity(0))
+    else:
+        allowed = os.cpu_count() or 1
     return max(1, math.ceil(min([allowed, *_quotas()])))
 
 
