@@ -22,7 +22,6 @@ from app.tracking.view import View
 from app.tracking.zones import Zone, is_outside
 from app.video import MIN_STEP_S
 from app.vision.appearance import Patch, colours_of
-from app.vision.geometry import Box
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
@@ -106,16 +105,6 @@ class CameraSession:
         self._events: list[Event] = []
 
     @property
-    def frames(self) -> int:
-        """Number of frames processed."""
-        return self._frames
-
-    @property
-    def track_ids(self) -> tuple[int, ...]:
-        """Identities of the tracked people, ascending."""
-        return tuple(sorted(track.track_id for track in self._tracks if track.track_id is not None))
-
-    @property
     def memory_bytes(self) -> int:
         """Approximate memory used by the session."""
         return sum(TRACK_BYTES + track.last_estimate.outline_bytes for track in self._tracks)
@@ -171,7 +160,7 @@ class CameraSession:
             tracks = self._named_by_caller(people, upload.track_ids, timestamp)
         seen = self._identify(people, tracks, timestamp, zones)
         self._drop_unseen(frame, timestamp)
-        seen += self._hidden_people(timestamp)
+        seen += self._hidden_people(frame.shape, timestamp)
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
@@ -340,13 +329,15 @@ class CameraSession:
         self._tracks.append(track)
         return track
 
-    def _hidden_people(self, timestamp: float) -> list[tuple[Person, Track]]:
+    def _hidden_people(
+        self, shape: tuple[int, ...], timestamp: float
+    ) -> list[tuple[Person, Track]]:
         """Hidden people at their expected places, and fallen people where they lie."""
         return [
             (Person(box, "track"), track)
             for track in self._tracks
             if track.seen_at < timestamp
-            and (box := track.lies_at or self._hidden_box(track, timestamp)) is not None
+            and (box := track.lies_at or hidden_box(track, self._tracks, shape, timestamp))
         ]
 
     def _confirm(self, timestamp: float, zones: Sequence[Zone]) -> None:
@@ -365,13 +356,14 @@ class CameraSession:
         """
         kept = []
         for track in self._tracks:
-            named = track.track_id is not None
-            hidden = named and self._hidden_box(track, timestamp) is not None
+            place, named = track.box_filter.seen, track.track_id is not None
+            hidden = named and hidden_box(track, self._tracks, frame.shape, timestamp) is not None
             track.hidden |= hidden
-            predicted = hidden or (named and self._vanished(track))
+            # Found by the detector, and last seen away from the border.
+            vanished = track.next_window is not None and not ends_at_border(place, frame.shape)
+            predicted = hidden or (named and vanished)
             longest = PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:
-                place = track.box_filter.seen
                 covered = covered_share(track, place, self._tracks, timestamp)
                 events, stays = track.lose(frame, timestamp, alone=covered == 0)
                 self._events += events
@@ -379,20 +371,6 @@ class CameraSession:
                     continue
             kept.append(track)
         self._tracks = kept
-
-    def _hidden_box(self, track: Track, timestamp: float) -> Box | None:
-        """Expected place of a hidden person; None if no other person hides this one."""
-        if self._rectification is None:
-            return None
-        return hidden_box(track, self._tracks, self._rectification.upright, timestamp)
-
-    def _vanished(self, track: Track) -> bool:
-        """Whether a person found by the detector was last seen away from the border."""
-        return (
-            self._rectification is not None
-            and track.next_window is not None
-            and not ends_at_border(track.box_filter.seen, self._rectification.upright)
-        )
 
     def _with_poses(
         self,

@@ -84,8 +84,8 @@ def street(estimator: Estimator) -> CameraSession:
     """A session that has read five people in a photograph of a street."""
     session = CameraSession(estimator)
     for step in range(3):
-        session.process(Upload(WALKERS.read_bytes()), step / 10, 7, Job())
-    assert len(session.track_ids) == 5
+        result = session.process(Upload(WALKERS.read_bytes()), step / 10, 7, Job())
+    assert len(result.persons) == 5
     return session
 
 

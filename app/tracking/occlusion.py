@@ -25,15 +25,12 @@ def covered_share(track: Track, place: Box, tracks: Sequence[Track], timestamp: 
 
 
 def hidden_box(
-    track: Track, tracks: Sequence[Track], size: tuple[int, int], timestamp: float
+    track: Track, tracks: Sequence[Track], frame_shape: tuple[int, ...], timestamp: float
 ) -> Box | None:
-    """Expected place of a hidden person; None if no other hides them, or after too long a time.
-
-    ``size`` is the height and width of the frame, pixels.
-    """
+    """Expected place of a hidden person; None if no other hides them, or after too long a time."""
     if timestamp - track.seen_at > PREDICTED_FOR_S:
         return None
-    height, width = size
+    height, width = frame_shape[:2]
     box = track.box_filter.predict(timestamp).clip(width, height)
     if box is None:
         return None
