@@ -25,7 +25,7 @@ from app.vision.rescoring import PERSON_PX, ObjectNetwork, hog_margin
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3
-"""Probability from which a detection is reported by default."""
+"""Probability from which a detection is reported."""
 
 # Log odds added to a detection where a person was visible a moment ago. People do not vanish, but a
 # falling person is blurred, and then lies in a pose that detectors rarely recognise.
@@ -57,8 +57,6 @@ class NetworkDetector:
         Compares doubtful people with other objects.
     min_person_px : float, optional
         Height of the smallest person wanted, in pixels; by default a share of the frame's height.
-    min_score : float
-        Probability from which a person is reported.
     """
 
     def __init__(
@@ -68,17 +66,13 @@ class NetworkDetector:
         objects: ObjectNetwork,
         *,
         min_person_px: float | None = None,
-        min_score: float = MIN_DETECTION_SCORE,
     ) -> None:
         self._first, *self._others = detectors
         self._landmarks = landmarks
         self._objects = objects
-        self._min_score = min_score
         self._min_person_px = min_person_px
         if min_person_px is not None and not min_person_px > 0:
             raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
-        if not 0 <= min_score <= 1:
-            raise ValueError(f"expected a min_score from 0 to 1, got {min_score}")
 
     def detect(
         self,
@@ -107,8 +101,8 @@ class NetworkDetector:
             replace(one, score=score)
             for one, score in zip(people, sigmoid(odds).tolist(), strict=True)
         ]
-        certain = [one for one in judged if one.score >= self._min_score]
-        doubtful = [one for one in judged if one.score < self._min_score]
+        certain = [one for one in judged if one.score >= MIN_DETECTION_SCORE]
+        doubtful = [one for one in judged if one.score < MIN_DETECTION_SCORE]
         close = [
             one
             for one in (*others, *doubtful)
@@ -131,7 +125,7 @@ class NetworkDetector:
                 continue
             gain = object_odds(*self.object_log_odds(frame, one))
             # People hardly visible beside others look like part of them.
-            odds[row] += gain if probability >= self._min_score else max(0.0, gain)
+            odds[row] += gain if probability >= MIN_DETECTION_SCORE else max(0.0, gain)
 
     def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
         """Find all candidates of all detectors, however low their score.

@@ -27,6 +27,7 @@ from tests.app.painted import detected, painted
 from tests.app.vision.conftest import found_share, moved, scores_of
 
 Make = Callable[..., NetworkDetector]
+MIN_SCORE = "app.vision.detector.MIN_DETECTION_SCORE"
 
 
 def test_walkers_are_detected_and_nothing_else(
@@ -51,20 +52,20 @@ def test_blank_frames_hold_nobody(
 
 
 def test_scores_below_the_minimum_are_left_out(
-    make_network_detector: Make, street: NDArray[np.uint8]
+    detector: NetworkDetector, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    everyone = list(scores_of(make_network_detector(min_score=0.0), street).items())
+    monkeypatch.setattr(MIN_SCORE, 0.0)
+    everyone = list(scores_of(detector, street).items())
     assert len(everyone) > 2
-    some = make_network_detector(min_score=everyone[1][1])
-    assert list(scores_of(some, street).items()) == everyone[:2]
-    assert make_network_detector(min_score=1.0).detect(street)[0] == []
+    monkeypatch.setattr(MIN_SCORE, everyone[1][1])
+    assert list(scores_of(detector, street).items()) == everyone[:2]
+    monkeypatch.setattr(MIN_SCORE, 1.0)
+    assert detector.detect(street)[0] == []
 
 
-def test_impossible_limits_are_refused(make_network_detector: Make) -> None:
+def test_an_impossible_size_is_refused(make_network_detector: Make) -> None:
     with pytest.raises(ValueError, match="min_person_px"):
         make_network_detector(min_person_px=0)
-    with pytest.raises(ValueError, match="min_score"):
-        make_network_detector(min_score=2)
 
 
 def test_each_person_of_a_crowd_is_detected_once(
@@ -173,11 +174,10 @@ def told(
     bodies: tuple[Detection, ...] = (),
     objects: Knows | None = None,
     presence: float = 1.0,
-    **limits: float,
 ) -> NetworkDetector:
     landmarks: Any = Knows(presence=presence)
     seen: Any = objects or Knows(person=-9, other=-9)
-    return NetworkDetector([Knows(*people), Knows(*bodies)], landmarks, seen, **limits)
+    return NetworkDetector([Knows(*people), Knows(*bodies)], landmarks, seen)
 
 
 def probability(score: float, box: Box = LEFT, body: float = 0.0) -> float:
@@ -219,10 +219,13 @@ def test_objects_decide_about_doubtful_people(
     assert logit_of(known.score) - 1 == pytest.approx(logit_of(probability(score)))
 
 
-def test_the_likeliest_within_reach_of_the_expected_person_is_likelier() -> None:
+def test_the_likeliest_within_reach_of_the_expected_person_is_likelier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(MIN_SCORE, 0.0)
     places = [LEFT, Box(60, 30, 60, 160), RIGHT]
     scores = [score_of(0.4), score_of(0.5), score_of(0.6)]
-    detector = told(*map(Detection, places, scores), min_score=0.0)
+    detector = told(*map(Detection, places, scores))
     before, after = (
         {one.box: one.score for one in detector.detect(BLANK, expected, places)[0]}
         for expected in ((), [Box(50, 60, 60, 160)])
