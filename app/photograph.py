@@ -11,7 +11,7 @@ import numpy as np
 
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
-from app.estimation.posture import as_standing, estimate_posture
+from app.estimation.posture import as_standing, likeliest_posture, shares_of
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.scheduling.job import Job
@@ -196,7 +196,9 @@ def fit_poses(
     shares = found.postures
     if not normalised.feet_visible:  # Nothing shows whether a person upright walks.
         shares = as_standing(shares)
-    posture = estimate_posture(shares, person.frame_posture, presence, max(confidences))
+    if person.frame_posture is not None:
+        shares = shares_of(person.frame_posture, shares)
+    posture = likeliest_posture(shares, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(
         np.array([one.points_3d for one in hypotheses[:n]]),

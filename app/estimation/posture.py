@@ -59,22 +59,6 @@ class EstimatedPosture:
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
-def estimate_posture(
-    votes: NDArray[np.float64],
-    frame_posture: FramePosture | None,
-    presence: float = 1.0,
-    confidence: float = 1.0,
-) -> EstimatedPosture:
-    """Estimate a posture from shares ``(10,)`` of ``POSTURES``, and the landmarks if any.
-
-    The shares are those of :class:`index.matching.Match`. ``presence`` is the probability that
-    there is a person at all, ``confidence`` that of the best hypothesis.
-    """
-    if frame_posture is None:
-        return likeliest_posture(votes, presence, confidence)
-    return likeliest_posture(shares_of(frame_posture, votes), presence, confidence)
-
-
 def with_upright_votes(
     shares: NDArray[np.float64], votes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
@@ -113,6 +97,9 @@ def likeliest_posture(
     shares: NDArray[np.float64], presence: float = 1.0, confidence: float = 1.0
 ) -> EstimatedPosture:
     """The likeliest posture, given its shares ``(10,)``.
+
+    ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
+    hypothesis.
 
     The probability is that of its group in :data:`GROUPS`, because an image shows the group more
     surely than standing or walking, lying or crawling. If no hypothesis fits, votes and landmarks

@@ -11,7 +11,6 @@ from app.estimation.posture import (
     MIN_PROBABILITY,
     PostureFilter,
     as_standing,
-    estimate_posture,
     likeliest_posture,
     shares_of,
     with_upright_votes,
@@ -59,13 +58,14 @@ def test_landmarks_decide_between_groups_and_votes_within(
 
 def test_probability_is_that_of_the_group() -> None:
     votes = vote_posture(["standing", "walking"], [0.5, 0.5])
-    upright = estimate_posture(votes, frame_posture(standing=0.9, sitting=0.1))
+    upright = likeliest_posture(shares_of(frame_posture(standing=0.9, sitting=0.1), votes))
     assert upright.label in GROUPS[0]
     assert upright.probability == pytest.approx(0.9)
-    low = estimate_posture(votes, frame_posture(lying=0.5, all_fours=0.4, sitting=0.1))
+    seen = frame_posture(lying=0.5, all_fours=0.4, sitting=0.1)
+    low = likeliest_posture(shares_of(seen, votes))
     assert (low.label, low.probability) == ("lying", pytest.approx(0.9))
     # Of a silhouette alone, too: who is surely upright is not unclear.
-    alone = estimate_posture(votes, None)
+    alone = likeliest_posture(votes)
     assert (alone.label, alone.probability) == (upright.label, pytest.approx(1))
 
 
@@ -151,7 +151,7 @@ def test_landmarks_decide_and_votes_where_there_are_none() -> None:
     assert with_landmarks == likeliest_posture(shares)
     assert with_landmarks.probability == pytest.approx(0.7)
     alone, _ = PostureFilter().update(0.0, voted, None, 1.0, NARROW)
-    assert alone.probability == estimate_posture(voted, None).probability
+    assert alone.probability == likeliest_posture(voted).probability
 
 
 def test_a_posture_fades_with_the_probability_of_a_person() -> None:
