@@ -291,18 +291,18 @@ def split(segments: Sequence[Segment]) -> Split:
 
 
 def split_by_clip(
-    segments: Sequence[Segment], *, every: int = 5, position: int = 2
+    segments: Sequence[Segment], *, position: int = 2
 ) -> tuple[list[Segment], list[Segment]]:
     """Segments to learn from and segments to ask for, no clip in both.
 
-    Every ``every``-th clip of an action, from ``position`` on in the order of names, is held out.
+    Every fifth clip of an action, from ``position`` on in the order of names, is held out.
     Actions of different manifests count as different; those with fewer than three clips are kept.
     """
     held: set[str] = set()
     for group in sorted({(segment.manifest, segment.action) for segment in segments}):
         clips = sorted({s.clip for s in segments if (s.manifest, s.action) == group})
         if len(clips) >= 3:
-            held.update(clips[position::every])
+            held.update(clips[position::5])
     return (
         [segment for segment in segments if segment.clip not in held],
         [segment for segment in segments if segment.clip in held],

@@ -183,11 +183,11 @@ def expected_calibration_error(confidence: NDArray[np.floating], right: NDArray[
     return float(sum(gaps))
 
 
-def calibration_floor(confidence: NDArray[np.floating], draws: int = 20) -> float:
+def calibration_floor(confidence: NDArray[np.floating]) -> float:
     """Mean :func:`expected_calibration_error` of confidences that are the true probabilities.
 
     Of so few answers, the shares of right ones differ from them by chance.
     """
-    generator = np.random.default_rng(0)
+    generator, draws = np.random.default_rng(0), 20
     right = generator.random((draws, *confidence.shape)) < confidence
     return float(np.mean([expected_calibration_error(confidence, one) for one in right]))

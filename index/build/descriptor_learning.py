@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,16 +65,6 @@ class Scatter:
     # (F, F): mean square difference of silhouettes that belong together; not yet regularised.
     within: NDArray[np.float64]
     recipe: Recipe  # describes the moments; its dimension and regularisation are not used
-
-    def below(self, vertical_orders: int, horizontal_orders: int) -> Scatter:
-        """The scatter of the moments of lower orders only."""
-        own = self.recipe
-        rows = np.arange(len(self.total)).reshape(
-            len(own.p2), own.vertical_orders, own.horizontal_orders
-        )[:, :vertical_orders, :horizontal_orders]
-        some = np.ix_(rows.ravel(), rows.ravel())
-        fewer = replace(own, vertical_orders=rows.shape[1], horizontal_orders=rows.shape[2])
-        return Scatter(self.total[some], self.within[some], fewer)
 
 
 def view_joints(

@@ -1,11 +1,11 @@
 """The learned descriptor: reproducible, and better at telling poses apart than the paper's."""
 
 import numpy as np
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.build.body import Avatar
-from index.build.descriptor_learning import Recipe, learn_descriptor, measure_scatter, view_joints
+from index.build.descriptor_learning import learn_descriptor, view_joints
 from index.build.poses import Poses
 from index.build.simulate import Simulation, simulate
 from index.skeleton import JOINTS
@@ -49,12 +49,3 @@ def test_poses_of_other_frames_are_found_better_than_by_the_papers_descriptor(
         return float(np.linalg.norm(there - here, axis=-1).mean())
 
     assert error_m(learned) < error_m(DiagonalDescriptor())
-
-
-def test_scatter_of_lower_orders_is_a_part_of_that_of_higher_ones(simulation: Simulation) -> None:
-    regions = (0.25, 0.75)
-    few = measure_scatter(simulation, 3, Recipe(6, 4, p2=regions))
-    part = measure_scatter(simulation, 3, Recipe(10, 8, p2=regions)).below(6, 4)
-    assert part.recipe == few.recipe
-    assert_allclose(part.total, few.total, atol=1e-4 * np.abs(few.total).max())
-    assert_allclose(part.within, few.within, atol=1e-4 * np.abs(few.within).max())
