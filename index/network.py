@@ -16,7 +16,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,11 +92,18 @@ def network_input(silhouettes: NDArray[np.uint8]) -> Array:
     They are the silhouette at half resolution, as an index stores it, and a column and a row
     coordinate, because the appearance of a limb depends on its place.
     """
+    return input_planes(halve(silhouettes))
+
+
+def halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Halve the resolution of silhouettes ``(B, 128, 48)``: ``(B, 64, 24)``.
+
+    The majority of four pixels decides; in a tie, the first pixel does.
+    """
     first = silhouettes[:, ::2, ::2]
     total = first + silhouettes[:, 1::2, ::2] + silhouettes[:, ::2, 1::2]
     total += silhouettes[:, 1::2, 1::2]
-    # The majority of four pixels decides; in a tie, the first pixel does.
-    return input_planes(2 * total + first > 4)
+    return np.asarray(2 * total + first > 4)
 
 
 def input_planes(pictures: NDArray[np.uint8] | NDArray[np.bool_]) -> Array:
@@ -224,12 +231,30 @@ class Layer:
         if not largest < EXACT_BELOW:
             raise ValueError(f"expected sums below {EXACT_BELOW}, got up to {largest:.0f}")
 
+    @classmethod
+    def restore(cls, arrays: Mapping[str, NDArray[np.generic]], number: int) -> Layer:
+        """Layer ``number``, from 1, of :func:`stored_layers`."""
+        names = (f"{name}{number}" for name in ("weights", "factors", "offsets"))
+        return cls(*(np.ascontiguousarray(arrays[name], np.float32) for name in names))
+
     def __call__(self, values: Array) -> Array:
         """Outputs ``(..., D)`` of quantised inputs ``(..., F)``."""
         sums = values @ self.weights
         sums *= self.factors
         sums += self.offsets
         return np.asarray(sums, np.float32)
+
+
+def stored_layers(layers: Sequence[Layer]) -> dict[str, NDArray[np.generic]]:
+    """Layers as they are stored, numbered from 1: weights in 8 bits, without loss."""
+    stored: dict[str, NDArray[np.generic]] = {}
+    for number, layer in enumerate(layers, 1):
+        stored |= {
+            f"weights{number}": layer.weights.astype(np.int8),
+            f"factors{number}": layer.factors,
+            f"offsets{number}": layer.offsets,
+        }
+    return stored
 
 
 def largest_sums(weights: NDArray[np.floating]) -> NDArray[np.float64]:
@@ -284,23 +309,12 @@ class JointNetwork:
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> JointNetwork:
         """Inverse of :meth:`arrays`; ``KeyError`` or ``ValueError`` if the arrays do not fit."""
-
-        def layer(number: int) -> Layer:
-            names = (f"{name}{number}" for name in ("weights", "factors", "offsets"))
-            return Layer(*(np.ascontiguousarray(arrays[name], np.float32) for name in names))
-
-        return cls(tuple(layer(number) for number in range(1, len(LAYER_SHAPES) + 1)))
+        numbers = range(1, len(LAYER_SHAPES) + 1)
+        return cls(tuple(Layer.restore(arrays, number) for number in numbers))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The layers as they are stored: weights in 8 bits, without loss."""
-        stored: dict[str, NDArray[np.generic]] = {}
-        for number, layer in enumerate(self.layers, 1):
-            stored |= {
-                f"weights{number}": layer.weights.astype(np.int8),
-                f"factors{number}": layer.factors,
-                f"offsets{number}": layer.offsets,
-            }
-        return stored
+        """The layers as they are stored; see :func:`stored_layers`."""
+        return stored_layers(self.layers)
 
 
 def quantise(planes: Array) -> Array:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from index.network import HIDDEN, QUANT_MAX, Array, Layer, quantised_relu
+from index.network import HIDDEN, QUANT_MAX, Array, Layer, quantised_relu, stored_layers
 from index.posture import POSTURES, UPRIGHT, PostureName
 
 KINDS: tuple[tuple[PostureName, ...], ...] = (
@@ -78,22 +78,12 @@ class PostureNetwork:
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> PostureNetwork:
         """Inverse of :meth:`arrays`; ``KeyError`` or ``ValueError`` if the arrays do not fit."""
-        first, second = (
-            Layer(*(np.ascontiguousarray(arrays[f"{name}{number}"], np.float32) for name in _PARTS))
-            for number in (1, 2)
-        )
-        return cls((first, second), float(arrays["vote_weight"]))
+        layers = Layer.restore(arrays, 1), Layer.restore(arrays, 2)
+        return cls(layers, float(arrays["vote_weight"]))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The layers as they are stored: weights in 8 bits, without loss."""
-        stored: dict[str, NDArray[np.generic]] = {"vote_weight": np.array(self.vote_weight)}
-        for number, layer in enumerate(self.layers, 1):
-            stored |= {f"{name}{number}": getattr(layer, name) for name in _PARTS}
-            stored[f"weights{number}"] = layer.weights.astype(np.int8)
-        return stored
-
-
-_PARTS = ("weights", "factors", "offsets")
+        """The weight and the layers as they are stored; see :func:`index.network.stored_layers`."""
+        return {"vote_weight": np.array(self.vote_weight)} | stored_layers(self.layers)
 
 
 def votes_of_kinds(votes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ import faiss
 import numpy as np
 from numpy.typing import NDArray
 
-from descriptor.silhouette import HEIGHT, WIDTH, unpack
+from descriptor.silhouette import unpack
 from index.artefact import (
     FORMAT_VERSION,
     MANIFEST,
@@ -29,6 +29,7 @@ from index.artefact import (
     stored_name,
     version_of,
 )
+from index.network import halve
 from index.reranking import RankingModel
 from index.silhouette_posture import PostureNetwork
 from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
@@ -244,7 +245,7 @@ def halved(silhouettes: Silhouettes) -> Silhouettes:
         raise ValueError("expected silhouettes at full resolution, got halved ones")
     blocks = [
         _by_columns(
-            _halve(silhouettes.take(np.arange(start, min(start + _BLOCK, len(silhouettes)))))
+            halve(silhouettes.take(np.arange(start, min(start + _BLOCK, len(silhouettes)))))
         )
         for start in range(0, len(silhouettes), _BLOCK)
     ]
@@ -272,13 +273,7 @@ def _deflate(
     return np.frombuffer(b"".join(parts), np.uint8), ends, dictionary
 
 
-def _halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Silhouettes ``(B, 64, 24)``: the majority of four pixels, or the first pixel in a tie."""
-    blocks = silhouettes.reshape(len(silhouettes), HEIGHT // 2, 2, WIDTH // 2, 2)
-    return np.asarray(2 * blocks.sum(axis=(2, 4)) + blocks[:, :, 0, :, 0] > 4, np.uint8)
-
-
-def _by_columns(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _by_columns(silhouettes: NDArray[np.uint8] | NDArray[np.bool_]) -> NDArray[np.uint8]:
     """Pack silhouettes ``(B, H, W)``, one column of bytes after the other.
 
     Outlines are mostly vertical and compress better in this order.
