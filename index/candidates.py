@@ -151,7 +151,7 @@ def _nearest_entries(
     Also returns whether each was found as its mirror image, and the descriptor that it is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
-    _, entry_ids, nearest_variant = index.search(variants, k)
+    entry_ids, nearest_variant = index.search(variants, k)
     rows = np.arange(len(vectors)).repeat(entry_ids.shape[1])
     return entry_ids.ravel(), nearest_variant.ravel() == 1, rows
 

@@ -185,8 +185,6 @@ class NearestEntries:
     # (K,): clockwise rotation in the picture of the entry found, as seen by a camera that is not
     # rolled.
     roll_deg: NDArray[np.float64]
-    # (K,): root mean square joint distance, as a share of the size of a body, ascending.
-    distances: NDArray[np.float64]
 
 
 class LandmarkSearch:
@@ -226,12 +224,7 @@ class LandmarkSearch:
         squared, ids = squared.ravel(), ids.ravel()
         order = np.lexsort((ids, variants, squared))[:k]
         variants = variants[order]
-        return NearestEntries(
-            ids[order],
-            variants % 2 == 1,
-            np.array(rolls_deg)[variants // 2],
-            np.sqrt(np.maximum(squared[order].astype(np.float64), 0) / len(LIMBS)) / STEPS_PER_BODY,
-        )
+        return NearestEntries(ids[order], variants % 2 == 1, np.array(rolls_deg)[variants // 2])
 
 
 def pose_vectors(points_3d: NDArray[np.floating]) -> NDArray[np.float32]:

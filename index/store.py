@@ -22,8 +22,6 @@ from index.skeleton import (
     LIMB_ROWS,
     POINTS,
     camera_rotation,
-    mirror_3d,
-    mirror_normalised,
     project,
 )
 
@@ -147,11 +145,11 @@ class PoseIndex:
 
     def search(
         self, vectors: NDArray[np.float32], k: int
-    ) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Find the ``k`` entries nearest to any of ``V`` variants of each query ``(B, V, D)``.
 
-        Returns Euclidean distances, ascending, entries, and the variant for which each was found,
-        ``(B, K)`` each. An entry may be found for several variants, so K is at most ``V * E``.
+        Returns entries, nearest first, and the variant for which each was found, ``(B, K)`` both.
+        An entry may be found for several variants, so K is at most ``V * E``.
         """
         queries, variants, dimension = vectors.shape
         flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
@@ -161,11 +159,10 @@ class PoseIndex:
         variant = np.broadcast_to(variant, entry_ids.shape)
         # Among equal distances, earlier variants come first, then earlier entries.
         order = np.lexsort((entry_ids, variant, squared))[:, :k]
-        distances, entry_ids, variant = (
-            np.take_along_axis(array, order, axis=1)
-            for array in (np.sqrt(np.maximum(squared, 0)), entry_ids, variant)
+        return (
+            np.take_along_axis(entry_ids, order, axis=1),
+            np.take_along_axis(variant, order, axis=1),
         )
-        return distances, entry_ids, variant
 
     def roll_deg(
         self, entry_ids: NDArray[np.integer], mirrored: NDArray[np.bool_]
@@ -206,13 +203,10 @@ class PoseIndex:
             vectors[start : start + len(entries)] = pose_vectors(seen)
         return vectors
 
-    def entry(self, entry_id: int, *, mirrored: bool = False) -> Entry:
-        """An entry, or its mirror image; raises like :meth:`label`."""
-        label = self.label(entry_id, mirrored=mirrored)
+    def entry(self, entry_id: int) -> Entry:
+        """An entry; raises like :meth:`label`."""
+        label = self.label(entry_id)
         points_3d, points_normalised = (points[0] for points in self.points(np.array([entry_id])))
-        if mirrored:
-            points_3d = mirror_3d(points_3d)
-            points_normalised = mirror_normalised(points_normalised)
         return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)
 
     def label(self, entry_id: int, *, mirrored: bool = False) -> Label:

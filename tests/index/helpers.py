@@ -12,7 +12,8 @@ from index.artefact import version_of
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.silhouette_posture import INPUTS, KINDS, UNITS, PostureNetwork
-from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS
+from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, mirror_3d, mirror_normalised
+from index.store import PoseIndex
 
 
 def random_network(seed: int) -> JointNetwork:
@@ -54,6 +55,16 @@ def landmarks_of(
     positions = np.asarray(points, np.float64)[LIMB_ROWS]
     covariance = 0.15**2 * np.eye(len(LIMB_ROWS))
     return NormalisedLandmarks(tuple(LIMB_ROWS), positions, scores, limbs, scores, covariance)
+
+
+def points_of(
+    index: PoseIndex, entry_id: int, *, mirrored: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Skeleton of an entry or of its mirror image: ``(24, 3)``, and normalised ``(24, 2)``."""
+    entry = index.entry(entry_id)
+    if not mirrored:
+        return entry.points_3d, entry.points_normalised
+    return mirror_3d(entry.points_3d), mirror_normalised(entry.points_normalised)
 
 
 def joint_error(points: NDArray[np.floating], joints: NDArray[np.floating]) -> float:

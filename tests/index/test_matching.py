@@ -29,7 +29,7 @@ from index.skeleton import (
 )
 from index.store import PoseIndex
 from tests.index.conftest import drawn, movement
-from tests.index.helpers import joint_error, landmarks_of
+from tests.index.helpers import joint_error, landmarks_of, points_of
 
 QUERIES = range(0, 576, 61)
 
@@ -225,9 +225,8 @@ def test_hypotheses_with_landmarks_share_the_posterior(
             assert one.weight
             assert_allclose(one.points_3d[:, :2], first.points_3d[:, :2])
             assert joint_error(one.points_3d, first.points_3d) > 0.02
-            own = rotate_clockwise(
-                toy_index.entry(one.entry_id, mirrored=one.mirrored).points_3d, one.rotation_deg
-            )
+            entry, _ = points_of(toy_index, one.entry_id, mirrored=one.mirrored)
+            own = rotate_clockwise(entry, one.rotation_deg)
             assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
         fewer = match_landmarks(toy_index, silhouette, 3, landmarks, outlines=2).hypotheses[:3]
         assert [one.distance for one in fewer] == [one.distance for one in found[:3]]
@@ -253,9 +252,9 @@ def test_no_hypothesis_is_likelier_right_than_its_heading(
 def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
     toy_index: PoseIndex, number: int
 ) -> None:
-    entry = toy_index.entry(number, mirrored=True)
+    points_3d, points = points_of(toy_index, number, mirrored=True)
     silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
-    landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
+    landmarks = landmarks_of(points, points_3d)
     best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
     assert (best.entry_id, best.mirrored) == (number, True)
     assert best.outline_distance_px == pytest.approx(0, abs=1e-6)
