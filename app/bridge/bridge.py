@@ -34,11 +34,6 @@ class Presence:
         """Identities of the people."""
         return sorted(self._people)
 
-    @property
-    def people(self) -> int:
-        """Number of people."""
-        return len(self._people)
-
     def is_occupied(self, zone: str) -> bool:
         """Whether a person is in a zone."""
         return bool(self._zones.get(zone))
@@ -178,7 +173,8 @@ class Bridge:
             occupied = None
             if self._zones is not None:
                 occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
-            self._home_assistant.show(self._presence.people, occupied, obstructed=self._obstructed)
+            people = len(self._presence.track_ids)
+            self._home_assistant.show(people, occupied, obstructed=self._obstructed)
 
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import transform_points
 from app.vision.optics import PinholeCamera, place_on_sight_lines, to_line_of_sight
-from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, landmark_rows
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg, rotate_silhouette
 from index.landmarks import SIZE_RANGE, NormalisedLandmarks
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
@@ -30,7 +30,7 @@ _LANDMARK_OF = {name: name for name in (*LIMBS, "nose")} | {
 }
 _POINTS, _LANDMARKS = rows(*_LANDMARK_OF), rows(*_LANDMARK_OF.values(), among=LANDMARK_NAMES)
 _LIMBS = rows(*LIMBS, among=LANDMARK_NAMES)
-_ANKLES = side_rows("ankle", among=LANDMARK_NAMES)
+_ANKLES = landmark_rows("ankle")
 _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 # Visibility above which a landmark is used for matching.
@@ -111,7 +111,7 @@ class NormalisedPerson:
 # The same points, in the order of the landmarks.
 _SEEN_LANDMARKS, _SEEN_POINTS = np.array(sorted(zip(_LANDMARKS, _POINTS, strict=True))).T
 _HIPS = side_rows("hip")
-_LANDMARK_HIPS = side_rows("hip", among=LANDMARK_NAMES)
+_LANDMARK_HIPS = landmark_rows("hip")
 _PELVIS = POINT_NAMES.index("pelvis")
 
 

@@ -53,7 +53,7 @@ class EventDetector:
         lies = 0.0 if rests else float(shares[POSTURES.index("lying")])
         state = self._lying.update(lies, step)
         events += happened("lying", state, self._lying.level)
-        fell = self._falls.update(timestamp, observation, rests=rests)
+        fell = self._falls.update(timestamp, observation.row(), rests=rests)
         return (*events, *happened("fell", "instant" if fell else None, self._falls.probability))
 
     def lost(self, track_id: int, timestamp: float) -> tuple[Event, ...]:

@@ -267,8 +267,7 @@ class FallReport:
 class FallWatch:
     """Watches one track for falls."""
 
-    def __init__(self, model: FallModel | None = None) -> None:
-        self._model = shipped_model() if model is None else model
+    def __init__(self) -> None:
         self._seen: deque[tuple[float, NDArray[np.float64]]] = deque()
         self._report = FallReport()
         self.probability = 0.0
@@ -280,15 +279,12 @@ class FallWatch:
         """Whether a fall was reported and the person was not seen to get up."""
         return self._report.fallen
 
-    def update(self, timestamp: float, observation: Observation, *, rests: bool = False) -> bool:
+    def update(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
 
-        A person who ``rests``, in a zone for it, does not fall.
+        The row ``(17,)`` is that of an :class:`Observation`. A person who ``rests``, in a zone for
+        it, does not fall.
         """
-        return self.see(timestamp, observation.row(), rests=rests)
-
-    def see(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
-        """The same of an observation's row ``(17,)``."""
         self._add(timestamp, row)
         self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
         return self._report.update(timestamp, self.probability, up)
@@ -312,5 +308,6 @@ class FallWatch:
     def _probabilities(self, timestamp: float) -> tuple[float, float]:
         times = np.array([time for time, _ in self._seen])
         rows = np.array([row for _, row in self._seen])
-        fell, up = self._model.probabilities(window_features(times, rows, timestamp)).tolist()
+        features = window_features(times, rows, timestamp)
+        fell, up = shipped_model().probabilities(features).tolist()
         return fell, up

@@ -20,16 +20,13 @@ from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
-from app.vision.odds import log_odds, probability_of
+from app.vision.odds import log_odds, probability_of, softmax
 from app.vision.people import Silhouette
 from index.facing import azimuth_deg
 from index.posture import UPRIGHT, vote_posture
-from index.skeleton import POINT_NAMES, bone_lengths, mean_joint_distance, with_bone_lengths
+from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths
 
-_SHOULDERS, _HIPS = (
-    [POINT_NAMES.index(f"{side}_{joint}") for side in ("left", "right")]
-    for joint in ("shoulder", "hip")
-)
+_SHOULDERS, _HIPS = side_rows("shoulder"), side_rows("hip")
 
 # Largest cost of a move: no move is impossible, since detection and identity may be wrong.
 _MAX_COST = 48.0
@@ -153,9 +150,7 @@ class PoseSmoother:
             return None
         frame = _Frame.of(person, self._smoothing.max_states)
         self._add_states(frame, motion.heading, timestamp)
-        states = self._states[-1]
-        probabilities = np.exp(states.log_forward)
-        probabilities /= probabilities.sum()
+        probabilities = softmax(self._states[-1].log_forward)
         pose, features = self._pose(frame, motion.heading, probabilities, timestamp)
         self._last = pose, _Place.of(person)
         votes = vote_posture(

@@ -117,7 +117,8 @@ class Track:
         self.sightings += 1
         elapsed, self.seen_at = timestamp - self.seen_at, timestamp
         if person.source not in ("background", "track"):
-            self.score = max(self.score, _score(person))
+            score = 1.0 if person.detection_score is None else person.detection_score
+            self.score = max(self.score, score)
         if person.source == "detector" and person.trust is not None:
             self._windows += 1
             gain = 1 - math.exp(-elapsed / _WINDOW_MEAN_S)
@@ -334,11 +335,6 @@ def _weight(person: Person) -> float:
 def _reliability(person: Person, confidence: float) -> float:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
     return confidence if person.presence is None else _weight(person) * person.presence
-
-
-def _score(person: Person) -> float:
-    """The detector's probability of a person; 1 if the caller marked the people."""
-    return 1.0 if person.detection_score is None else person.detection_score
 
 
 def _observation(

@@ -84,12 +84,6 @@ def place(box: Box, posture: PostureName | None) -> NDArray[np.float64]:
     return box.foot
 
 
-def zones_of(zones: Iterable[Zone], box: Box, posture: PostureName | None) -> tuple[Zone, ...]:
-    """The zones that a person is in, in the order given."""
-    point = place(box, posture)
-    return tuple(zone for zone in zones if contains(zone.polygon, point))
-
-
 def is_rest(zones: Iterable[Zone]) -> bool:
     """Whether any of the zones is for resting."""
     return any(zone.kind == "rest" for zone in zones)
@@ -111,7 +105,7 @@ class _Stay:
 # After entering, a person stays in the zone up to this distance outside, in sizes of the person:
 # feet at a border move by some hundredths of a body from frame to frame.
 _MARGIN = 0.1
-SETTLING_S = 0.5
+STAYS_FROM_S = 0.5
 """Time inside or outside before an event is reported."""
 
 
@@ -128,8 +122,9 @@ class ZoneWatch:
         self._stays: dict[str, _Stay] = {}
 
     def locate(self, zones: Iterable[Zone], box: Box, posture: PostureName | None) -> None:
-        """Set the zones that the person is in."""
-        self.zones = zones_of(zones, box, posture)
+        """Set the zones that the person is in, in the order given."""
+        point = place(box, posture)
+        self.zones = tuple(zone for zone in zones if contains(zone.polygon, point))
 
     def update(
         self,
@@ -160,7 +155,7 @@ class ZoneWatch:
     def _inside(self, name: str, track_id: int, timestamp: float) -> list[Event]:
         stay = self._stays.setdefault(name, _Stay(timestamp))
         stay.outside_since = None
-        if stay.entered or timestamp - stay.since < SETTLING_S:
+        if stay.entered or timestamp - stay.since < STAYS_FROM_S:
             return []
         stay.entered = True
         return [_crossing("zone_entered", name, track_id, timestamp)]
@@ -168,7 +163,7 @@ class ZoneWatch:
     def _outside(self, name: str, stay: _Stay, track_id: int, timestamp: float) -> list[Event]:
         if stay.outside_since is None:
             stay.outside_since = timestamp
-        if stay.entered and timestamp - stay.outside_since < SETTLING_S:
+        if stay.entered and timestamp - stay.outside_since < STAYS_FROM_S:
             return []
         return self._leave(name, track_id, timestamp, timestamp)
 

@@ -81,9 +81,7 @@ def _with_landmarks(box: Box, reading: PoseReading) -> Box:
     margin = _LANDMARK_MARGIN * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()
     right, bottom = (positions.max(axis=0) + margin).tolist()
-    return Box.from_edges(
-        min(box.x, left), min(box.y, top), max(box.right, right), max(box.bottom, bottom)
-    )
+    return box.joined(Box.from_edges(left, top, right, bottom))
 
 
 def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:

@@ -33,8 +33,8 @@ FRAME = (480, 640)
 STANDS, SITS, LIES = (np.eye(6)[row] for row in (0, 3, 5))
 
 
-def seen(box: Box, posture: NDArray[np.float64], covered: float = 0.0) -> Observation:
-    return Observation(box, FRAME, 0.9 * posture, 0.6, covered=covered)
+def seen(box: Box, posture: NDArray[np.float64], covered: float = 0.0) -> NDArray[np.float64]:
+    return Observation(box, FRAME, 0.9 * posture, 0.6, covered=covered).row()
 
 
 def mixed(start: Box, end: Box, share: float) -> Box:
@@ -173,7 +173,7 @@ def tracks() -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
 def alarms(times: NDArray[np.float64], rows: NDArray[np.float64]) -> Iterator[float]:
     watch = FallWatch()
     for time, row in zip(times.tolist(), rows, strict=True):
-        if watch.see(time, row):
+        if watch.update(time, row):
             yield time
 
 

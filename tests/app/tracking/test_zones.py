@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from app.tracking.results import Event
 from app.tracking.zones import (
-    SETTLING_S,
+    STAYS_FROM_S,
     Zone,
     ZoneKind,
     ZoneWatch,
@@ -19,7 +19,6 @@ from app.tracking.zones import (
     distance,
     has_area,
     place,
-    zones_of,
 )
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, POSTURES, PostureName
@@ -102,9 +101,11 @@ def test_people_are_where_their_feet_are_or_on_the_ground_their_centre(
 
 def test_zones_come_in_the_order_given() -> None:
     zones = [zone("b", 0, 40), zone("a", 20, 80), zone("c", 60, 90)]
-    found = zones_of(zones, Box(20.0, 10.0, 20.0, 50.0), "standing")
-    assert [one.name for one in found] == ["b", "a"]
-    assert zones_of((), Box(0.0, 0.0, 9.0, 9.0), None) == ()
+    watch = ZoneWatch()
+    watch.locate(zones, Box(20.0, 10.0, 20.0, 50.0), "standing")
+    assert [one.name for one in watch.zones] == ["b", "a"]
+    watch.locate((), Box(0.0, 0.0, 9.0, 9.0), None)
+    assert watch.zones == ()
 
 
 @pytest.mark.parametrize("shape", [(2, 2), (4, 3), (8,)])
@@ -166,7 +167,7 @@ def test_a_person_enters_and_leaves_in_turn(feet_px: list[float]) -> None:
 
 @pytest.mark.parametrize(("here", "there"), [(50, 150), (150, 50)])
 def test_a_moment_on_the_other_side_is_no_event(here: float, there: float) -> None:
-    moment = round(SETTLING_S * FPS) - 1
+    moment = round(STAYS_FROM_S * FPS) - 1
     assert len(walk([here] * 20 + [there] * moment + [here] * 20)) == (here == 50)
 
 
