@@ -106,12 +106,7 @@ def _draw_person(
     corners = np.round([box.x, box.y, box.right, box.bottom]).astype(int)
     cv2.rectangle(picture, corners[:2].tolist(), corners[2:].tolist(), colour, thin)
     if silhouette is not None:
-        outlines, _ = cv2.findContours(
-            silhouette.crop.astype(np.uint8),
-            cv2.RETR_EXTERNAL,
-            cv2.CHAIN_APPROX_NONE,
-            offset=(silhouette.left, silhouette.top),
-        )
+        outlines = silhouette.outlines(cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(picture, outlines, -1, OUTLINE, thin)
     if person.hypotheses:
         points = person.hypotheses[0].points_2d[list(keypoints.indices)]

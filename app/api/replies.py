@@ -76,12 +76,7 @@ def polygon(silhouette: Silhouette) -> list[list[float]]:
     They run through the centres of the outermost pixels and have at least three points, as COCO
     requires; holes are omitted.
     """
-    outlines, _ = cv2.findContours(
-        silhouette.crop.astype(np.uint8),
-        cv2.RETR_EXTERNAL,
-        cv2.CHAIN_APPROX_SIMPLE,
-        offset=(silhouette.left, silhouette.top),
-    )
+    outlines = silhouette.outlines(cv2.CHAIN_APPROX_SIMPLE)
     # np.resize repeats the points of an outline that has only one or two.
     return [
         np.resize(outline, (max(3, len(outline)), 2)).ravel().astype(float).tolist()

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import cv2
 import numpy as np
@@ -172,6 +173,16 @@ class Silhouette:
         """The tight box around the silhouette."""
         height, width = self.crop.shape
         return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
+
+    def outlines(self, method: int) -> Sequence[NDArray[np.int32]]:
+        """Outlines ``(P, 1, 2)`` of the parts, without holes, in pixels of the frame.
+
+        The method is one of OpenCV's ``CHAIN_APPROX_...``.
+        """
+        outlines, _ = cv2.findContours(
+            self.crop.astype(np.uint8), cv2.RETR_EXTERNAL, method, offset=(self.left, self.top)
+        )
+        return cast(Sequence[NDArray[np.int32]], outlines)
 
     def mask(self, frame_shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """The silhouette as a mask ``(H, W)`` of a frame of this shape, ``(H, W, ...)``."""
