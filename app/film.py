@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from app.camera import CameraSession
+from app.estimation.posture import PostureLabel
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload, UploadError
 from app.messages import SEARCH_FAILED
@@ -17,7 +18,6 @@ from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedP
 from app.video import Frame
 from app.video.reader import VideoError, VideoReader
 from app.vision.optics import UNKNOWN_OPTICS, Optics
-from index.posture import PostureName
 from index.search import UnavailableError
 
 VideoEndReason = Literal[
@@ -181,8 +181,6 @@ class VideoSummary:
 
 MAX_GAP_S = 2.0
 """A person unseen for longer is not assumed to keep a posture."""
-
-PostureLabel = PostureName | Literal["unclear"]
 
 
 @dataclass

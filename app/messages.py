@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from difflib import get_close_matches
 from typing import Any
 
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, ValidationError
 
 # An UnavailableError's own message names a server that does not concern clients.
 SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
@@ -84,20 +84,22 @@ def expected_and_got(error: Mapping[str, Any]) -> str:
     return f"expected {_EXPECTED[kind].format(**context)}, got {shortened(error['input'])}"
 
 
-def located(error: Mapping[str, Any]) -> tuple[str, str]:
-    """Word an error that pydantic found in JSON: the place, and what is wrong there.
+def located(error: ValidationError) -> tuple[str, str]:
+    """Word the first error that pydantic found in JSON: the place, and what is wrong there.
 
     Examples
     --------
-    >>> located({"type": "list_type", "loc": ("zones", 0, "polygon"), "input": 1})
+    >>> found = [{"type": "list_type", "loc": ("zones", 0, "polygon"), "input": 1}]
+    >>> located(ValidationError.from_exception_data("camera", found))
     ('zones[0].polygon', 'expected a list, got 1')
     """
+    first = error.errors()[0]
     steps = (
         f"[{step}]" if isinstance(step, int) else f".{step}"
-        for step in error["loc"]
+        for step in first["loc"]
         if step != "[key]"  # The name before it is at fault, not its value.
     )
-    return "".join(steps).removeprefix("."), expected_and_got(error)
+    return "".join(steps).removeprefix("."), expected_and_got(first)
 
 
 def shortened(value: object) -> str:

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
 from typing_extensions import TypedDict
 
+from app.estimation.posture import PostureLabel
 from app.estimation.results import FacingSource, Source
 from app.vision.images import ImageWarning
 from index.posture import PostureName
@@ -315,7 +316,7 @@ class Facing(Model):
 class Posture(Model):
     """The person's posture, recognised from the photograph or, without one, the silhouette."""
 
-    label: PostureName | Literal["unclear"] = Field(
+    label: PostureLabel = Field(
         description="The likeliest posture; `unclear` if no posture reaches a probability of one "
         "half.",
         examples=["walking"],

@@ -18,11 +18,11 @@ from app.api.schemas import (
     Probability,
     Roll,
 )
+from app.estimation.posture import PostureLabel
 from app.film import VideoEndReason
 from app.messages import expected_name, shortened
 from app.tracking.results import EventName, EventState
 from app.tracking.zones import ZoneKind, has_area
-from index.posture import PostureName
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock in seconds, earlier than today in milliseconds."""
@@ -379,9 +379,7 @@ class SequenceFrame(_TrackedFrame, _FrameLine):
 class PostureTime(Model):
     """The time that a person spent in a posture."""
 
-    label: PostureName | Literal["unclear"] = Field(
-        description="The posture.", examples=["walking"]
-    )
+    label: PostureLabel = Field(description="The posture.", examples=["walking"])
     seconds: FiniteFloat = Field(ge=0, description="Total time.", examples=[11.8])
 
 

@@ -42,6 +42,9 @@ _CONFIDENCE_SLOPE = 1.5
 # Share of a posture that no hypothesis votes for.
 _MIN_VOTE = 1e-3
 
+PostureLabel = PostureName | Literal["unclear"]
+"""``unclear`` if the probability of the likeliest posture is too small."""
+
 
 @dataclass(frozen=True)
 class EstimatedPosture:
@@ -50,7 +53,7 @@ class EstimatedPosture:
     The probability is calibrated; the label is ``unclear`` if it is too small.
     """
 
-    label: PostureName | Literal["unclear"]
+    label: PostureLabel
     probability: float
     shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
 

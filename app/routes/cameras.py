@@ -185,8 +185,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     try:
         return CameraConfiguration.model_validate_json(body)
     except ValidationError as error:
-        first = error.errors()[0]
-        place, sentence = located(first)
+        place, sentence = located(error)
         raise ProblemError(
             422, f"{place}: {sentence}" if place else sentence, field=place or None
         ) from None

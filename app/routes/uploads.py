@@ -183,7 +183,7 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
     try:
         boxes = _BOXES.validate_json(text)
     except ValidationError as error:
-        place, sentence = located(error.errors()[0])
+        place, sentence = located(error)
         raise ProblemError(
             422,
             f"boxes{place}: {sentence}; boxes are a JSON list of [x, y, width, height]",

@@ -53,8 +53,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"
     except ValidationError as error:
-        first = error.errors()[0]
-        place, problem = located(first)
+        place, problem = located(error)
         sentence = f"{path}: {place}: {problem}" if place else f"{path}: {problem}"
     else:
         return {name: settings_from(camera) for name, camera in cameras.items()}
