@@ -108,11 +108,6 @@ class PinholeCamera:
         aside = (np.asarray(places, np.float64) - self.centre) / self.focal
         return np.concatenate([aside, np.ones((*aside.shape[:-1], 1))], axis=-1)
 
-    def project(self, points: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Places ``(..., 2)`` in pixels of points ``(..., 3)`` in front of the camera."""
-        points = np.asarray(points, np.float64)
-        return points[..., :2] / points[..., 2:] * self.focal + self.centre
-
 
 def to_line_of_sight(rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations ``(..., 3, 3)`` from camera axes to those of lines of sight ``(..., 3)``.

@@ -22,6 +22,7 @@ from index.skeleton import (
     side_rows,
 )
 from tests.conftest import stick_figure
+from tests.support.projection import project
 
 SHAPE = (300, 300)
 CENTRE = np.array([149.5, 149.5])
@@ -179,7 +180,7 @@ def projected(
     """The pose ``(24, 3)`` in camera axes about the hips' line of sight, and its pixels."""
     line = to_line_of_sight(pelvis)
     placed = pose @ line + pelvis
-    return placed, CAMERA.project(placed)
+    return placed, project(CAMERA, placed)
 
 
 def about_line_of_sight(
@@ -200,7 +201,7 @@ def landmarks_of(placed: NDArray[np.float64], visibility: float = 0.9) -> Landma
         for name in LANDMARK_NAMES
     ]
     hips = placed[HIPS].mean(axis=0)
-    pixels = CAMERA.project(placed[rows])
+    pixels = project(CAMERA, placed[rows])
     landmark_hips = side_rows("hip", among=LANDMARK_NAMES)
     line = to_line_of_sight(CAMERA.rays(pixels[landmark_hips].mean(axis=0)))
     metres = (placed[rows] - hips) @ line.T
@@ -276,7 +277,7 @@ def test_joints_project_to_their_pixels() -> None:
     placed, pixels = projected(skeleton(2), np.array([-1.0, 0.3, 5.0]))
     poses = np.array([skeleton(3), mirror_3d(skeleton(4))])
     result = place_skeletons(poses, np.array([pixels, pixels]), landmarks_of(placed), CAMERA)
-    again = CAMERA.project(result.points_3d + result.pelvis[:, None])
+    again = project(CAMERA, result.points_3d + result.pelvis[:, None])
     assert_allclose(again, result.points_2d, atol=1e-6)
 
 

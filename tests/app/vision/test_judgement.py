@@ -29,6 +29,7 @@ from app.vision.people import LANDMARK_NAMES
 from app.vision.person_reader import PersonReader
 from app.vision.tflite import NetworkError
 from index.skeleton import other_side
+from tests.support.projection import project
 
 SWAPPED = [LANDMARK_NAMES.index(other_side(name)) for name in LANDMARK_NAMES]
 
@@ -186,7 +187,7 @@ def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
         body = models.body(reading, camera)
         assert_allclose(models.judge(reading, camera).body.points, body.points)
         assert_allclose(
-            camera.project(body.points + body.origin), reading.landmarks.positions, atol=1e-6
+            project(camera, body.points + body.origin), reading.landmarks.positions, atol=1e-6
         )
         assert_allclose(body.points[HIPS].mean(axis=0), 0, atol=1e-9)
         assert_allclose(body.sight @ body.sight.T, np.eye(3), atol=1e-9)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
+from tests.support.projection import project
 
 SIDES = st.integers(1, 2000)
 OPTICS = st.builds(
@@ -36,7 +37,7 @@ def test_vectors_turn_with_the_points_that_they_project_to(optics: Optics) -> No
     rectification = Rectification.of_frame((300, 400), optics)
     sent = PinholeCamera.of_frame(rectification.square, 70)
     vectors = np.array([[0.3, -0.2, 2.0], [-0.5, 0.4, 1.0], [0.0, 0.0, 3.0]])
-    seen = rectification.points_sent(sent.centred(rectification.upright).project(vectors))
+    seen = rectification.points_sent(project(sent.centred(rectification.upright), vectors))
     scale = np.array(rectification.sent[::-1]) / rectification.square[::-1]
-    places = (sent.project(rectification.axes_sent(vectors)) + 0.5) * scale - 0.5
+    places = (project(sent, rectification.axes_sent(vectors)) + 0.5) * scale - 0.5
     assert places == pytest.approx(seen, abs=1e-6)
