@@ -18,7 +18,7 @@ from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedP
 from app.video import Frame
 from app.video.reader import VideoError, VideoReader
 from app.vision.optics import UNKNOWN_OPTICS, Optics
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 
 VideoEndReason = Literal[
     "complete", "max_frames", "broken", "timeout", "shutdown", "unavailable", "failed"
@@ -122,7 +122,7 @@ class VideoRun:
             end = VideoEnd("timeout", str(error))
         except (VideoError, UploadError) as error:
             end = VideoEnd("broken", str(error))
-        except UnavailableError:
+        except SearchUnavailableError:
             end = VideoEnd("unavailable", SEARCH_FAILED)
         except (ShutdownError, ClientGoneError):
             # The client is still connected, or this would have been cancelled, so the executor is

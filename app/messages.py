@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import BeforeValidator, ValidationError
 
-# An UnavailableError's own message names a server that does not concern clients.
+# A SearchUnavailableError's own message names a server that does not concern clients.
 SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
 _MAX_VALUE_CHARACTERS = 60

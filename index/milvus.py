@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pymilvus import MilvusClient, MilvusException
 
 from index.artefact import ArtefactError, find_artefact, load_index
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 from index.store import PoseIndex
 
 # pymilvus logs every failure with its traceback; here failures are errors.
@@ -38,13 +38,13 @@ _SAME = 1e-4  # Squared distances of equal vectors stay below.
 
 @contextmanager
 def milvus_errors() -> Iterator[None]:
-    """Raise :class:`UnavailableError` for all errors of Milvus and gRPC."""
+    """Raise :class:`SearchUnavailableError` for all errors of Milvus and gRPC."""
     try:
         yield
     except MilvusException as error:
-        raise UnavailableError(f"Milvus failed: {error.message}") from error
+        raise SearchUnavailableError(f"Milvus failed: {error.message}") from error
     except grpc.RpcError as error:
-        raise UnavailableError(f"Milvus failed: {error.code().name}") from error
+        raise SearchUnavailableError(f"Milvus failed: {error.code().name}") from error
 
 
 class MilvusNeighbours:
@@ -83,7 +83,9 @@ class MilvusNeighbours:
                 timeout=_TIMEOUT_S,
             )
         if len(found) != len(queries) or any(len(hits.ids) != k for hits in found):
-            raise UnavailableError(f"Milvus found fewer than {k} vectors in {self._collection}")
+            raise SearchUnavailableError(
+                f"Milvus found fewer than {k} vectors in {self._collection}"
+            )
         squared = np.array([hits.distances for hits in found], np.float32)
         return squared, np.array([hits.ids for hits in found], np.int64)
 
@@ -101,7 +103,7 @@ def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | No
 
     Raises
     ------
-    ArtefactError, UnavailableError
+    ArtefactError, SearchUnavailableError
         If the collection or its artefact cannot be used; if Milvus does not answer, or nothing is
         published.
     """

@@ -27,7 +27,7 @@ _VECTORS_PER_BLOCK = 65_536
 """Vectors converted at a time: converting all of a large index would take gigabytes."""
 
 
-class UnavailableError(Exception):
+class SearchUnavailableError(Exception):
     """A search on a server failed, but may succeed later; the message is for the operator."""
 
 
@@ -58,7 +58,7 @@ class Neighbours(Protocol):
 
         Raises
         ------
-        UnavailableError
+        SearchUnavailableError
             If the search runs on a server that does not answer.
         """
 

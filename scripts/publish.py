@@ -13,7 +13,7 @@ from tqdm import tqdm
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.milvus import ALIAS, METRIC, NAME_PREFIX, ROW, VECTOR, MilvusNeighbours, milvus_errors
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 from index.store import PoseIndex
 
 BATCH = 10_000
@@ -65,6 +65,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     index = load_index(options.index)
     try:
         publish(options.uri, index)
-    except UnavailableError as error:
+    except SearchUnavailableError as error:
         raise SystemExit(f"publish: {error}") from None
     print(f"{index.version} is published: {len(index)} entries")

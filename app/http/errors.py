@@ -18,7 +18,7 @@ from app.http.routing import RouteTable, request_state
 from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
 from app.video.reader import VideoError
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -117,7 +117,8 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
         lambda error: ProblemError(409, str(error), field="timestamp", reason="late_frame"),
     )
     answer(
-        UnavailableError, lambda error: overloaded(SEARCH_FAILED, "unavailable", _SEARCH_RETRY_S)
+        SearchUnavailableError,
+        lambda error: overloaded(SEARCH_FAILED, "unavailable", _SEARCH_RETRY_S),
     )
     answer(RequestValidationError, _validation_problem)
 

@@ -27,7 +27,7 @@ from app.serving.runtime import Runtime
 from app.settings import SettingsError
 from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 from index.store import PoseIndex
 
 _CAMERAS = TypeAdapter(
@@ -131,7 +131,7 @@ async def _become_ready_or_say_why(
     state = "not ready" if runtime.estimator is None else "still serving the index before"
     try:
         estimator = await loading
-    except (ArtefactError, NetworkError, UnavailableError) as error:
+    except (ArtefactError, NetworkError, SearchUnavailableError) as error:
         if runtime.not_ready_because != str(error):
             log.error("%s: %s", state, error)
         runtime.not_ready_because = str(error)

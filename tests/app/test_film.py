@@ -20,7 +20,7 @@ from app.video import Frame
 from app.video.reader import VideoError
 from app.vision.geometry import Box
 from index.posture import PostureName
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 from tests.app.tracking.people import result_of
 
 FRAMES = [Frame(2 * n, n / 10, np.zeros((40, 60, 3), np.uint8)) for n in range(3)]
@@ -92,7 +92,7 @@ async def test_every_frame_has_a_line(drawn: Estimator, executor: Executor) -> N
         ),
         ({"timeout_s": 0.05}, 1, "timeout", "longer than 0.05 seconds"),
         ({"failure": DeadlineError("too late")}, 1, "timeout", "too late"),
-        ({"failure": UnavailableError("gone")}, 1, "unavailable", "cannot be searched"),
+        ({"failure": SearchUnavailableError("gone")}, 1, "unavailable", "cannot be searched"),
         ({"failure": ClientGoneError()}, 1, "shutdown", "being stopped"),
         ({"failure": ShutdownError()}, 1, "shutdown", "being stopped"),
         ({"failure": LateFrameError("late")}, 1, "failed", "error of the service"),

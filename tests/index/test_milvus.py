@@ -9,7 +9,7 @@ import pytest
 
 from index.artefact import ArtefactError, load_index
 from index.build.writer import save_index
-from index.search import UnavailableError
+from index.search import SearchUnavailableError
 from index.store import PoseIndex
 from tests.conftest import build_tiny_index
 
@@ -53,14 +53,14 @@ def test_it_finds_the_nearest_vectors(uri: str, artefacts: Path, versions: Versi
         assert (squared.dtype, found.dtype) == (np.float32, np.int64)
         assert np.allclose(squared, np.sort(apart, axis=1)[:, :k], rtol=1e-4)
         assert np.allclose(squared, np.take_along_axis(apart, found, axis=1), rtol=1e-4)
-    with pytest.raises(UnavailableError, match="fewer than 97 vectors"):
+    with pytest.raises(SearchUnavailableError, match="fewer than 97 vectors"):
         published.neighbours.search(queries, 97)
 
 
 def test_the_alias_moves_to_another_index_and_back(
     uri: str, artefacts: Path, versions: Versions
 ) -> None:
-    with pytest.raises(UnavailableError, match="'poses' does not exist"):
+    with pytest.raises(SearchUnavailableError, match="'poses' does not exist"):
         load_published(uri, artefacts)
     known = ""
     for number in ("1", "2", "1"):
@@ -107,6 +107,6 @@ def test_a_server_that_does_not_answer_is_given_up(artefacts: Path, silent: bool
         if silent:
             server.listen()
         address = f"http://us:secret@127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(UnavailableError, match="Milvus failed: Fail conn") as caught:
+        with pytest.raises(SearchUnavailableError, match="Milvus failed: Fail conn") as caught:
             load_published(address, artefacts)
     assert "secret" not in str(caught.value)

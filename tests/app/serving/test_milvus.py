@@ -17,7 +17,7 @@ from app.serving import loading
 from app.settings import Settings
 from index.artefact import ArtefactError, load_index
 from index.build.writer import save_index
-from index.search import Neighbours, UnavailableError
+from index.search import Neighbours, SearchUnavailableError
 from index.store import PoseIndex
 from tests.conftest import Photo
 from tests.support.service import check_problem, eventually, sample, send
@@ -62,7 +62,7 @@ def milvus(
     return fake
 
 
-AWAY = UnavailableError("Milvus failed: nothing at 10.0.0.7")
+AWAY = SearchUnavailableError("Milvus failed: nothing at 10.0.0.7")
 ERRORS = [(AWAY, str(AWAY)), (ArtefactError("none"), "none"), (KeyError(), "the log says more")]
 
 
