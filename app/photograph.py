@@ -43,7 +43,8 @@ class Estimator:
     Parameters
     ----------
     min_person_px : float or None
-        Height of the smallest person to find with a background, pixels.
+        Height of the smallest person wanted, pixels: for backgrounds, and for changes in a camera's
+        scene; the detector has its own.
     max_pixels : int
         Largest image accepted, width times height.
     max_persons : int

@@ -72,7 +72,7 @@ _LIMB_MASSES = {"elbow": 0.05, "hip": 0.05, "knee": 0.07, "ankle": 0.04}
 _MASSES |= {f"{side}_{joint}": mass for joint, mass in _LIMB_MASSES.items() for side in SIDES}
 _FEET = rows("left_ankle", "left_toe", "right_ankle", "right_toe", among=JOINT_NAMES)
 _FIRST, _SECOND = np.triu_indices(len(_FEET), 1)
-"""Pairs of these points."""
+"""All pairs of points of the feet."""
 
 
 @dataclass(frozen=True)

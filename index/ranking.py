@@ -30,7 +30,7 @@ _SHARE_POWER = 4.0
 class DistanceRanking:
     """Ranks the poses of one silhouette by their distances alone."""
 
-    candidates: ClassVar[int] = 160
+    usual_candidates: ClassVar[int] = 160
     """Number of nearest entries that are usually candidates; more add few useful modes."""
 
     calibration: Calibration
@@ -71,7 +71,7 @@ class DistanceRanking:
 class NetworkRanking(DistanceRanking):
     """Ranks the poses of one silhouette by the network's predictions of its joints as well."""
 
-    candidates: ClassVar[int] = 200  # The network ranks a few more usefully.
+    usual_candidates: ClassVar[int] = 200  # The network ranks a few more usefully.
 
     model: RankingModel
     reading: Reading

@@ -136,13 +136,13 @@ class _SilhouetteQuery(Query):
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         ranking = self.ranking
-        k = max(ranking.candidates, CANDIDATES_PER_HYPOTHESIS * n)
+        k = max(ranking.usual_candidates, CANDIDATES_PER_HYPOTHESIS * n)
         while True:
             candidates = find_candidates(self.index, queries, k)
             weights = candidate_weights(candidates.distances) * ranking.support(candidates)
             modes = find_modes(candidates, weights, n + SPARE_MODES, fit=ranking.fit)
             exhausted = len(candidates) < k
-            if len(modes) >= n or exhausted or k >= MAX_CANDIDATE_GROWTH * ranking.candidates:
+            if len(modes) >= n or exhausted or k >= MAX_CANDIDATE_GROWTH * ranking.usual_candidates:
                 return candidates, *ranking.order(modes, n)
             k *= 2
 

@@ -94,8 +94,9 @@ _BODY_MARGIN = 0.1
 class PeopleFinder:
     """Finds people with the detector, or where the caller marks them.
 
-    With a background, people must be at least ``min_person_px`` high. At most ``max_persons``
-    people are found, those with the highest scores.
+    ``min_person_px`` is the height of the smallest person wanted, pixels: for backgrounds, and for
+    changes in a camera's scene; the detector has its own. At most ``max_persons`` people are found,
+    those with the highest scores.
     """
 
     models: Models

@@ -40,7 +40,7 @@ _SHOWN_BY: dict[str, tuple[PostureName, ...]] = {
     "walk": ("walking",),
     "run": ("running",),
 }
-"""Postures that an action shows; all actions not listed show those of ``ON_THE_SPOT``."""
+"""Postures that an action shows; all actions not listed show those of ``_ON_THE_SPOT``."""
 
 _ON_THE_SPOT: tuple[PostureName, ...] = ("standing", "arms_raised", "bending")
 
@@ -132,7 +132,7 @@ class ActionModel:
         self,
         features: NDArray[np.float64],
         votes: NDArray[np.float64],
-        clarity: float = 1.0,
+        limb_clarity: float = 1.0,
     ) -> NDArray[np.float64]:
         """Probabilities ``(..., A)`` of actions.
 
@@ -141,7 +141,8 @@ class ActionModel:
         get.
         """
         everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
-        odds = clarity * (features @ self.weights.T + self.offsets) + (1 - clarity) * everyday
+        shown = features @ self.weights.T + self.offsets
+        odds = limb_clarity * shown + (1 - limb_clarity) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
         return softmax(odds)
 
@@ -226,11 +227,11 @@ class ActionRecogniser:
             return None
         features = window_features([sample for sample, _ in self._window])
         votes = np.mean([votes for _, votes in self._window], axis=0)
-        clarity, factors = 1.0, np.ones(len(self._model.actions))
+        limb_clarity, factors = 1.0, np.ones(len(self._model.actions))
         if posture is not None:
-            clarity = min(1.0, person.whole_box.height / FULL_WEIGHT_PX)
+            limb_clarity = min(1.0, person.whole_box.height / FULL_WEIGHT_PX)
             factors = posture_factors(self._model.actions, posture)
-        probabilities = factors * self._model.probabilities(features, votes, clarity)
+        probabilities = factors * self._model.probabilities(features, votes, limb_clarity)
         probabilities /= probabilities.sum()
         best = int(probabilities.argmax())
         if probabilities[best] < MIN_PROBABILITY:

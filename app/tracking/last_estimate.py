@@ -38,9 +38,10 @@ class LastEstimate:
         self._person = None
 
     def still_holds(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
-        """The person, if the estimate still holds in a frame ``(H, W, 3)``; each frame is asked.
+        """The person, if the estimate still holds in a frame ``(H, W, 3)``.
 
-        It holds for a moment if nothing has changed at the person's place for a while.
+        To be called with every frame. The estimate holds for a moment if nothing has changed at the
+        person's place for a while.
         """
         person = self._person
         if person is None or person.source != "detector" or person.patch is None:

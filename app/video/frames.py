@@ -158,7 +158,8 @@ class Video:
                             failed or picture.is_corrupt or (damaged and not picture.key_frame)
                         )
                         failed = False
-                        # A filter passes it on. PyAV knows it by its identity: a new list each.
+                        # The deinterlacer passes `opaque` on. PyAV tells these objects apart by
+                        # identity, so each picture gets a list of its own.
                         picture.opaque = [damaged]
                         yield picture
             except av.FFmpegError:
@@ -197,7 +198,7 @@ def _format(source: str | IO[bytes]) -> str | None:
     return "mjpeg" if _head(source).lstrip().startswith(b"--") else None
 
 
-# Of tracks of one size, one with less than this share of the most data is empty.
+# Among tracks of one size, a track is empty if its bit rate is below this share of the highest.
 _EMPTY_SHARE = 0.1
 
 

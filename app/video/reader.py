@@ -65,7 +65,7 @@ async def open_video(
         stderr=asyncio.subprocess.PIPE,
         pass_fds=(file.fileno(),),
         cwd=_ROOT,
-        # Only the decoder's first thread is confined, so that it must be the only one.
+        # Only the decoder's first thread is confined, so it must be the only one.
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         limit=_BUFFER_BYTES,
     )

@@ -12,7 +12,8 @@ from app.vision.geometry import Box, crop, shrink_quickly
 from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
-# Of a person twice as large, every second row and column shows the same colours, and so on.
+# If the longer side is less than twice this, every row and column is read, otherwise every second
+# one, and so on; the colours stay the same.
 _COLOURS_PX = 200
 
 

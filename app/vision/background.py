@@ -53,7 +53,7 @@ def _in_exposure(scene: NDArray[np.uint8], now: NDArray[np.uint8]) -> NDArray[np
     """
     pairs = np.column_stack([scene[::12, ::12].ravel(), now[::12, ::12].ravel()]).astype(np.float32)
     along, up, x, y = cv2.fitLine(pairs, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel().tolist()
-    # Of a scene without contrast, the line may be steep.
+    # If the scene has no contrast, the line may be steep.
     gain = float(np.clip(up / max(along, 1e-6), 1 / _MAX_GAIN, _MAX_GAIN))
     levels = y + (np.arange(256) - x) * gain
     return np.asarray(cv2.LUT(scene, levels.clip(0, 255).round().astype(np.uint8)), np.uint8)

@@ -1,4 +1,4 @@
-"""Names of file types that are neither photographs nor videos, by their first bytes."""
+"""Names of file types, by their first bytes."""
 
 HEAD_BYTES = 512
 

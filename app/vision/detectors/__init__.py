@@ -16,7 +16,7 @@ class Detector(Protocol):
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect the people of a picture, best first; scores need not be probabilities.
 
-        A detection without keypoints whose window is known is confirmed by the landmark network
-        before it counts as a person that no other detector has found.
+        A detection of a person whom no other detector has found counts only if the landmark network
+        confirms it, in the detection's window or the one about its box.
         """
         ...
