@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from app.tracking.falls import COLUMNS, MODEL, WINDOW_S, FallModel, FallReport, window_features
+from app.tracking.falls import (
+    COLUMNS,
+    GRID_S,
+    MODEL,
+    WINDOW_S,
+    FallModel,
+    FallReport,
+    window_features,
+)
 from index.build.builder import HELD_OUT_AVATARS
 from index.build.garments import make_avatars
 from scripts.results import ROOT
@@ -42,7 +50,14 @@ NETWORKS = 3
 
 HIDDEN = (48, 48, 48)
 DROPOUT, WEIGHT_DECAY, NOISE = 0.1, 0.01, 0.01
-_EPOCHS, _BATCH = 12, 1024
+_BATCH = 1024
+EPOCHS, RATE = 12, 4e-3
+"""Passes over the windows, and the highest learning rate."""
+EPOCHS_TRAINED_ON, RATE_TRAINED_ON = 4, 1e-3
+"""The same of networks that are trained on."""
+
+POINTS = round(WINDOW_S / GRID_S)
+"""Points of the grid."""
 
 THRESHOLDS = ((0.5, 0.7), (0.55, 0.7), (0.6, 0.7), (0.7, 0.8))
 """Pairs of probabilities from which a fall is reported: of a person in view, and of a lost one."""
@@ -115,31 +130,24 @@ def _label(track: Track, now: float, lost: bool) -> tuple[bool, float]:
     return True, float(begun and track.down + SHOWN_S <= now <= track.falls + WINDOW_S)
 
 
-def trained(windows: Windows, seed: int = 0, drop: Sequence[int] = ()) -> FallModel:
-    """Train the network; ``drop`` are columns of the inputs that it does not see."""
+def trained(windows: Windows, seed: int = 0, start: FallModel | None = None) -> FallModel:
+    """Train a network, or train on the one of this number of a model."""
     import torch
 
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    kept = np.ones(COLUMNS, np.float32)
-    kept[list(drop)] = 0
-    points = windows.inputs.shape[1] // COLUMNS
-    inputs = torch.from_numpy(windows.inputs).view(-1, points, COLUMNS).transpose(1, 2)
-    inputs = inputs * torch.from_numpy(kept)[:, None]
+    network = untrained_network()
+    epochs, rate = EPOCHS, RATE
+    if start is not None:
+        restore_weights(network, start, seed)
+        epochs, rate = EPOCHS_TRAINED_ON, RATE_TRAINED_ON
+    inputs = torch.from_numpy(windows.inputs).view(-1, POINTS, COLUMNS).transpose(1, 2)
     targets, weights = torch.from_numpy(windows.targets), torch.from_numpy(windows.weights)
-    first, second, third = HIDDEN
-    network = torch.nn.Sequential(
-        torch.nn.Conv1d(COLUMNS, first, 3, padding=1), torch.nn.ReLU(),
-        torch.nn.Conv1d(first, second, 3, padding=1, stride=2), torch.nn.ReLU(),
-        torch.nn.Flatten(), torch.nn.Dropout(DROPOUT),
-        torch.nn.Linear(second * ((points + 1) // 2), third), torch.nn.ReLU(),
-        torch.nn.Dropout(DROPOUT), torch.nn.Linear(third, 2),
-    )  # fmt: skip
-    optimiser = torch.optim.AdamW(network.parameters(), lr=2e-3, weight_decay=WEIGHT_DECAY)
-    steps = _EPOCHS * (len(inputs) // _BATCH + 1)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 4e-3, total_steps=steps)
+    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
+    steps = epochs * (len(inputs) // _BATCH + 1)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
     loss_of = torch.nn.functional.binary_cross_entropy_with_logits
-    for _ in range(_EPOCHS):
+    for _ in range(epochs):
         for rows in torch.randperm(len(inputs)).split(_BATCH):
             given = inputs[rows]
             given = given + NOISE * torch.randn_like(given)
@@ -149,11 +157,25 @@ def trained(windows: Windows, seed: int = 0, drop: Sequence[int] = ()) -> FallMo
             loss.backward()
             optimiser.step()
             schedule.step()
-    return model_of(network, kept)
+    return model_of(network)
 
 
-def model_of(network: Any, kept: NDArray[np.float32]) -> FallModel:
-    """The weights of a network as :class:`FallModel` takes them; columns not kept count nothing."""
+def untrained_network() -> Any:
+    """An untrained network; :class:`FallModel` says what it computes."""
+    from torch import nn
+
+    first, second, third = HIDDEN
+    return nn.Sequential(
+        nn.Conv1d(COLUMNS, first, 3, padding=1), nn.ReLU(),
+        nn.Conv1d(first, second, 3, padding=1, stride=2), nn.ReLU(),
+        nn.Flatten(), nn.Dropout(DROPOUT),
+        nn.Linear(second * ((POINTS + 1) // 2), third), nn.ReLU(),
+        nn.Dropout(DROPOUT), nn.Linear(third, 2),
+    )  # fmt: skip
+
+
+def model_of(network: Any) -> FallModel:
+    """The weights of a network as :class:`FallModel` takes them."""
     layers = [layer for layer in network if hasattr(layer, "weight")]
     weights = [layer.weight.detach().numpy() for layer in layers]
     # Of convolutions (out, in, 3), and of what follows them, whose inputs are channels by points.
@@ -161,9 +183,24 @@ def model_of(network: Any, kept: NDArray[np.float32]) -> FallModel:
     third, channels = weights[2], len(weights[1])
     by_point = third.reshape(len(third), channels, -1).transpose(2, 1, 0)
     matrices += [np.concatenate(list(by_point)), weights[3].T.copy()]
-    matrices[0] = matrices[0] * np.tile(kept, 3)[:, None]
     offsets = (layer.bias.detach().numpy().copy() for layer in layers)
     return FallModel(tuple(one[None] for one in matrices), tuple(one[None] for one in offsets))
+
+
+def restore_weights(network: Any, model: FallModel, number: int) -> None:
+    """Give a network the weights of one of a model's: the inverse of :func:`model_of`."""
+    import torch
+
+    layers = [layer for layer in network if hasattr(layer, "weight")]
+    parts = zip(layers, model.weights, model.offsets, strict=True)
+    with torch.no_grad():
+        for layer, weight, offset in parts:
+            inputs = layer.weight.shape[1]
+            if layer is layers[2]:
+                inputs = len(layers[1].weight)
+            by_point = weight[number].reshape(-1, inputs, weight.shape[-1]).transpose(2, 1, 0)
+            layer.weight.copy_(torch.tensor(by_point.reshape(layer.weight.shape)))
+            layer.bias.copy_(torch.tensor(offset[number]))
 
 
 def mean_of(models: Sequence[FallModel]) -> FallModel:
@@ -172,6 +209,22 @@ def mean_of(models: Sequence[FallModel]) -> FallModel:
         tuple(np.concatenate(parts) for parts in zip(*(m.weights for m in models), strict=True)),
         tuple(np.concatenate(parts) for parts in zip(*(m.offsets for m in models), strict=True)),
     )
+
+
+def half_way(before: FallModel, after: FallModel) -> FallModel:
+    """The mean of the weights of a model and of the one that it was trained on to become [1]_.
+
+    It knows the new windows, and forgets less of those before.
+
+    References
+    ----------
+    .. [1] M. Wortsman et al., "Robust Fine-Tuning of Zero-Shot Models", CVPR 2022.
+    """
+    weights, offsets = (
+        tuple(np.float32(0.5) * (a + b) for a, b in zip(*parts, strict=True))
+        for parts in ((before.weights, after.weights), (before.offsets, after.offsets))
+    )
+    return FallModel(weights, offsets)
 
 
 def save(model: FallModel, file: Path) -> None:
@@ -302,6 +355,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--held-out", type=Path, required=True, help="those of held-out clips")
     parser.add_argument("--homes", type=int, default=HOMES, help="scenes of training")
     parser.add_argument("--crowds", type=int, default=CROWDS, help="crowds of training")
+    parser.add_argument(
+        "--start", type=Path, help="a model to train on; the result is half-way between both"
+    )
     parser.add_argument("--out", type=Path, default=MODEL)
     parser.add_argument("--examples", type=Path, help="write held-out tracks for the tests here")
     options = parser.parse_args(arguments)
@@ -322,7 +378,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             windows_of(film_tracks(options.train), FILM_WEIGHT),
         ]
     )
-    save(mean_of([trained(windows, seed) for seed in range(NETWORKS)]), options.out)
+    start = None if options.start is None else FallModel.load(options.start)
+    taught = mean_of([trained(windows, seed, start) for seed in range(NETWORKS)])
+    save(taught if start is None else half_way(start, taught), options.out)
     model = FallModel.load(options.out)
     print("windows", len(windows.inputs), "with a fall", int(windows.targets[:, 0].sum()))
     for name, tracks in (
