@@ -141,26 +141,27 @@ def classify_postures(
     low_chest = height["chest"] < _MAX_LYING_HEIGHT
     flexed = np.einsum("nki,ni->nk", thighs, trunk).max(axis=1) < 0
     on_thighs = flexed & (pelvis - knees.max(axis=1) > _MIN_FOLDED_HEIGHT)
-    prostrate = horizontal & lowered & low_chest & on_thighs
-    conditions: dict[PostureName, NDArray[np.bool_]] = {
-        "lying": horizontal & (pelvis < _MAX_LYING_HEIGHT) & low_chest & ~prostrate,
-        "crawling": horizontal
-        & ~prostrate
-        & unsupported
-        & (hand < _MAX_HAND_HEIGHT)
-        & (pelvis < _MAX_CRAWLING_HEIGHT),
-        "kneeling": prostrate | (lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT)),
-        "sitting": seated | (lowered & (on_floor | unsupported)),
-        "bending": (tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
-        "crouching": lowered,
-        "arms_raised": (height["left_wrist"] > height["head"])
-        & (height["right_wrist"] > height["head"]),
-        "running": speed >= MIN_RUNNING_SPEED_M_S,
-        "walking": speed >= MIN_WALKING_SPEED_M_S,
-    }
+    conditions: tuple[tuple[PostureName, NDArray[np.bool_]], ...] = (
+        ("kneeling", horizontal & lowered & low_chest & on_thighs),  # Prostrate.
+        ("lying", horizontal & (pelvis < _MAX_LYING_HEIGHT) & low_chest),
+        (
+            "crawling",
+            horizontal & unsupported & (hand < _MAX_HAND_HEIGHT) & (pelvis < _MAX_CRAWLING_HEIGHT),
+        ),
+        ("kneeling", lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT)),
+        ("sitting", seated | (lowered & (on_floor | unsupported))),
+        ("bending", tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
+        ("crouching", lowered),
+        (
+            "arms_raised",
+            (height["left_wrist"] > height["head"]) & (height["right_wrist"] > height["head"]),
+        ),
+        ("running", speed >= MIN_RUNNING_SPEED_M_S),
+        ("walking", speed >= MIN_WALKING_SPEED_M_S),
+    )
     return np.select(
-        list(conditions.values()),
-        [POSTURES.index(posture) for posture in conditions],
+        [holds for _, holds in conditions],
+        [POSTURES.index(posture) for posture, _ in conditions],
         POSTURES.index("standing"),
     )
 
