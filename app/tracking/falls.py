@@ -35,8 +35,10 @@ WINDOW_S = 3.0
 GRID_S = 0.2
 """Time between two points of the grid."""
 
+POINTS = round(WINDOW_S / GRID_S)
+"""Points of the grid."""
+
 _HIPS = landmark_rows("hip")
-_POINTS = round(WINDOW_S / GRID_S)
 _POSTURES = len(FRAME_POSTURES)
 COLUMNS = 13 + _POSTURES
 """Inputs at each point; :func:`window_features` says which."""
@@ -107,10 +109,10 @@ def window_features(
     gaps to the nearer side, the upper and the lower border, whether the person was still seen at
     that time, and whether the track had begun.
     """
-    grid = now + GRID_S * np.arange(1 - _POINTS, 1)
+    grid = now + GRID_S * np.arange(1 - POINTS, 1)
     right = np.clip(np.searchsorted(times, grid), 1, max(len(times) - 1, 1))
     if len(times) == 1:
-        at = np.repeat(rows, _POINTS, axis=0)
+        at = np.repeat(rows, POINTS, axis=0)
     else:
         step = times[right] - times[right - 1]
         share = np.clip((grid - times[right - 1]) / np.maximum(step, 1e-6), 0, 1)[:, None]
@@ -158,7 +160,7 @@ class FallModel:
     def __post_init__(self) -> None:
         networks = len(self.weights[0])
         sizes = [COLUMNS, *(offset.shape[-1] for offset in self.offsets)]
-        points = -(-_POINTS // np.prod(_STRIDES))
+        points = -(-POINTS // np.prod(_STRIDES))
         factors = [3, 3, int(points), 1]
         expected = [
             (networks, n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)
@@ -183,7 +185,7 @@ class FallModel:
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Probabilities ``(..., 2)``: fell within the window and is down; the trunk is up now."""
-        values = features.reshape(*features.shape[:-1], 1, _POINTS, COLUMNS)
+        values = features.reshape(*features.shape[:-1], 1, POINTS, COLUMNS)
         for layer, stride in enumerate(_STRIDES):
             values = np.maximum(self._layer(layer, _three_points(values, stride)), 0)
         values = values.reshape(*values.shape[:-2], 1, -1)

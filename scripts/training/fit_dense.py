@@ -116,8 +116,12 @@ def averaged(networks: Sequence[DenseNetwork]) -> DenseNetwork:
 
 def half_way(one: DenseNetwork, other: DenseNetwork) -> DenseNetwork:
     """The network with the mean weights of two that scale their inputs alike."""
-    weights, biases = (
-        tuple(np.asarray((a + b) / 2, np.float32) for a, b in zip(*parts, strict=True))
-        for parts in ((one.weights, other.weights), (one.biases, other.biases))
-    )
+    weights, biases = midway(one.weights, other.weights), midway(one.biases, other.biases)
     return DenseNetwork(one.means, one.scales, weights, biases)
+
+
+def midway(
+    some: Sequence[NDArray[np.float32]], others: Sequence[NDArray[np.float32]]
+) -> tuple[NDArray[np.float32], ...]:
+    """The means of as many pairs of arrays."""
+    return tuple(np.asarray((a + b) / 2, np.float32) for a, b in zip(some, others, strict=True))

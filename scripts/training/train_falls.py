@@ -19,8 +19,8 @@ from tqdm import tqdm
 
 from app.tracking.falls import (
     COLUMNS,
-    GRID_S,
     MODEL,
+    POINTS,
     WINDOW_S,
     FallModel,
     FallReport,
@@ -31,6 +31,7 @@ from index.build.garments import make_avatars
 from scripts.results import ROOT
 from scripts.training.fall_tracks import Eyes, Track, crowd, home, tracks_of
 from scripts.training.film_tracks import film_tracks
+from scripts.training.fit_dense import midway
 from scripts.training.motion_library import Library
 
 HOMES, CROWDS = 14000, 1200
@@ -55,9 +56,6 @@ EPOCHS, RATE = 12, 4e-3
 """Passes over the windows, and the highest learning rate."""
 EPOCHS_TRAINED_ON, RATE_TRAINED_ON = 4, 1e-3
 """The same of networks that are trained on."""
-
-POINTS = round(WINDOW_S / GRID_S)
-"""Points of the grid."""
 
 THRESHOLDS = ((0.5, 0.7), (0.55, 0.7), (0.6, 0.7), (0.7, 0.8))
 """Pairs of probabilities from which a fall is reported: of a person in view, and of a lost one."""
@@ -195,9 +193,8 @@ def restore_weights(network: Any, model: FallModel, number: int) -> None:
     parts = zip(layers, model.weights, model.offsets, strict=True)
     with torch.no_grad():
         for layer, weight, offset in parts:
-            inputs = layer.weight.shape[1]
-            if layer is layers[2]:
-                inputs = len(layers[1].weight)
+            # What follows the convolutions sees their channels at each point.
+            inputs = len(layers[1].weight) if layer is layers[2] else layer.weight.shape[1]
             by_point = weight[number].reshape(-1, inputs, weight.shape[-1]).transpose(2, 1, 0)
             layer.weight.copy_(torch.tensor(by_point.reshape(layer.weight.shape)))
             layer.bias.copy_(torch.tensor(offset[number]))
@@ -220,11 +217,7 @@ def half_way(before: FallModel, after: FallModel) -> FallModel:
     ----------
     .. [1] M. Wortsman et al., "Robust Fine-Tuning of Zero-Shot Models", CVPR 2022.
     """
-    weights, offsets = (
-        tuple(np.float32(0.5) * (a + b) for a, b in zip(*parts, strict=True))
-        for parts in ((before.weights, after.weights), (before.offsets, after.offsets))
-    )
-    return FallModel(weights, offsets)
+    return FallModel(midway(before.weights, after.weights), midway(before.offsets, after.offsets))
 
 
 def save(model: FallModel, file: Path) -> None:

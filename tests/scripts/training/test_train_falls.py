@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from app.tracking.falls import COLUMNS, FallModel
+from app.tracking.falls import COLUMNS, POINTS, FallModel
 from scripts.training.train_falls import (
-    POINTS,
     Windows,
     mean_of,
     model_of,
