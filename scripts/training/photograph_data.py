@@ -89,6 +89,7 @@ class WindowRows(Rows):
     landmarks: NDArray[np.float32]
     places: NDArray[np.float32]
     shown: NDArray[np.bool_]
+    elevation_deg: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.scene)

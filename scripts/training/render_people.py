@@ -29,6 +29,13 @@ PEOPLE, HELD_OUT_PEOPLE = 60, 16
 """Bodies in the training and in the held-out part."""
 
 EMPTY_SHARE = 1 / 7
+HEAD_FIRST = 0.35
+"""Share of the people who lie whose head points to the camera: few landmarks are read right then.
+"""
+
+UNRECORDED, FALLEN = 0.3, 0.3
+"""Shares: of people in poses that no clip shows; of those who lie, of simulated falls."""
+
 BARE_SHARE = 0.5
 """Share of the pictures without people whose window lies anywhere, not about the thing in it."""
 
@@ -80,6 +87,7 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
         photograph.landmarks[None].astype(np.float32),
         photograph.places[None].astype(np.float32),
         photograph.shown[None],
+        np.array([photograph.elevation_deg]),
     )
 
 
@@ -134,13 +142,16 @@ def rendering_parser(description: str | None, count: int, seed: int) -> argparse
 def open_studio(options: argparse.Namespace) -> Studio:
     """The studio of these options; pictures are made on one core."""
     cv2.setNumThreads(1)
-    return Studio.open(
+    studio = Studio.open(
         options.shared / "mocap",
         options.shared / "garments",
         HELD_OUT_PEOPLE if options.held_out else PEOPLE,
         options.seed,
         held_out=options.held_out,
     )
+    studio.head_first = HEAD_FIRST
+    studio.source.unrecorded, studio.source.fallen = UNRECORDED, FALLEN
+    return studio
 
 
 def write_rows(

@@ -28,14 +28,6 @@ from scripts.training.render_people import open_studio, rendering_parser, write_
 
 VIEWS = ("plain", "hidden", "spoilt")
 
-HEAD_FIRST = 0.35
-"""Share of the people who lie whose head points to the camera: few landmarks are read right then.
-"""
-
-
-UNRECORDED, FALLEN = 0.3, 0.3
-"""Shares: of people in poses that no clip shows; of those who lie, of simulated falls."""
-
 
 @dataclass(frozen=True)
 class PostureRows(Rows):
@@ -109,7 +101,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.out is None:
         parser.error("expected --out")
-    studio = open_studio(options)
-    studio.head_first = HEAD_FIRST
-    studio.source.unrecorded, studio.source.fallen = UNRECORDED, FALLEN
-    write_rows(options, studio, Reader.load().rows)
+    write_rows(options, open_studio(options), Reader.load().rows)

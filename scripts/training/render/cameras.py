@@ -33,6 +33,11 @@ class Camera:
         """Points ``(..., 3)`` in world axes to camera axes."""
         return np.asarray((points - self.place) @ self.rotation.T)
 
+    def elevation_deg(self, target: NDArray[np.float64]) -> float:
+        """The camera's elevation above the horizon of a target ``(3,)`` in world axes."""
+        away = self.place - target
+        return float(np.rad2deg(np.arctan2(away[1], np.hypot(away[0], away[2]))))
+
     @property
     def fov_deg(self) -> float:
         """Horizontal field of view."""

@@ -95,6 +95,7 @@ class Photograph:
     # (33,): whether each is in the picture, and no thing is in front of it.
     shown: NDArray[np.bool_]
     covered: float  # share of the body's pixels that things hide or the frame cuts
+    elevation_deg: float  # of the camera as seen from the subject
 
 
 @dataclass
@@ -292,6 +293,7 @@ def _photograph(
         places,
         _shown(landmarks, view, nearness, shown, len(subject.triangles)),
         covered,
+        camera.elevation_deg(target),
     )
 
 

@@ -21,7 +21,7 @@ def photograph(seed: int) -> Photograph:
     return Photograph(
         rng.integers(0, 256, (rows, columns, 3), np.uint8), np.array([300.0, 300.0]),
         np.array([columns / 2, rows / 2]), np.array([600.0, 400.0]), np.concatenate([low, size]),
-        LYING, rng.normal([0, 0, 4], 1, (33, 3)), places, np.ones(33, bool), 0.0,
+        LYING, rng.normal([0, 0, 4], 1, (33, 3)), places, np.ones(33, bool), 0.0, 0.0,
     )  # fmt: skip
 
 
