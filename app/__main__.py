@@ -61,7 +61,7 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
 
     from app.http.access_log import log_config
     from app.main import create_app
-    from app.serving.loading import read_cameras
+    from app.serving import read_cameras
     from app.vision.models import check_networks
     from app.vision.tflite import NetworkError
 

@@ -25,8 +25,7 @@ from app.routes.cameras import SESSION_HEADER
 from app.routes.openapi import SERVERS, TAGS, add_openapi
 from app.scheduling.executor import Executor
 from app.scheduling.process import configure_process, trim_heap
-from app.serving.loading import become_ready, keep_index_loaded, read_cameras
-from app.serving.runtime import Runtime
+from app.serving import Runtime, become_ready, keep_index_loaded, read_cameras
 from app.settings import Settings, read_settings
 from app.vision.images import configure_pillow
 from index.store import PoseIndex

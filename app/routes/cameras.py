@@ -29,7 +29,7 @@ from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
-from app.serving.runtime import run_frame, runtime_of
+from app.serving import run_frame, runtime_of
 from app.tracking.results import SessionState
 
 router = APIRouter(prefix="/cameras", tags=["cameras"], dependencies=[RequireKey, GivenOnce])

@@ -23,7 +23,7 @@ from app.routes.uploads import (
     unsupported_body,
 )
 from app.scheduling.job import Job
-from app.serving.runtime import run_frame, runtime_of
+from app.serving import run_frame, runtime_of
 
 router = APIRouter(
     prefix="/v1/vision",

@@ -16,7 +16,7 @@ from app.photograph import Estimator
 from app.routes.openapi import documented
 from app.routes.pose import PNG
 from app.routes.queries import EntryQuery, GivenOnce, NoQuery
-from app.serving.runtime import EstimatorDep, runtime_of
+from app.serving import EstimatorDep, runtime_of
 
 router = APIRouter(prefix="/index", tags=["index"], dependencies=[RequireKey, GivenOnce])
 

@@ -14,7 +14,7 @@ from app.routes.openapi import documented
 from app.routes.queries import GivenOnce, OverlayQuery, PoseQuery, SilhouetteQuery
 from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
-from app.serving.runtime import run_frame, runtime_of
+from app.serving import run_frame, runtime_of
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 

@@ -22,7 +22,7 @@ from app.http.routing import request_state
 from app.routes.openapi import documented, documented_form
 from app.routes.queries import GivenOnce, SequenceQuery, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
-from app.serving.runtime import runtime_of
+from app.serving import runtime_of
 from app.tracking.results import TrackedFrame
 from app.video import Frame
 from app.video.reader import VideoReader, new_file, open_video

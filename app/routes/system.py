@@ -12,7 +12,7 @@ from starlette.staticfiles import StaticFiles
 
 from app.api.schemas import Health
 from app.routes.openapi import documented
-from app.serving.runtime import EstimatorDep, runtime_of
+from app.serving import EstimatorDep, runtime_of
 
 router = APIRouter(tags=["health"])
 

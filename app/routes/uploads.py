@@ -23,7 +23,7 @@ from app.http.errors import ProblemError, invalid
 from app.messages import expected_and_got, located, shortened
 from app.routes.openapi import documented_form
 from app.routes.queries import Timestamp, check_given_once, check_names
-from app.serving.runtime import runtime_of
+from app.serving import runtime_of
 from app.settings import Settings
 from app.vision.geometry import Box
 

@@ -8,7 +8,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import CameraEvents, CameraState
-from app.serving.loading import read_cameras
+from app.serving import read_cameras
 from app.settings import SettingsError
 from tests.conftest import Photo, Serving
 from tests.support.service import check_problem, eventually, send

@@ -3,9 +3,9 @@
 import pytest
 from fastapi.testclient import TestClient
 
+from app import serving
 from app.main import create_app
 from app.photograph import Estimator
-from app.serving import loading
 from app.settings import Settings
 from tests.support.service import check_problem, eventually
 
@@ -25,7 +25,7 @@ def test_probes_report_any_error_in_loading(
     def fail(*_: object) -> Estimator:
         raise ZeroDivisionError("internals")
 
-    monkeypatch.setattr(loading, "load_estimator", fail)
+    monkeypatch.setattr(serving, "load_estimator", fail)
     with TestClient(create_app(settings)) as client:
         eventually(lambda: "not ready" in caplog.text)
         assert client.get("/healthz").status_code == 200

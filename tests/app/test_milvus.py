@@ -11,9 +11,9 @@ import pytest
 from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
+from app import serving
 from app.main import create_app
 from app.photograph import Estimator
-from app.serving import loading
 from app.settings import Settings
 from index.artefact import ArtefactError, load_index
 from index.build.writer import save_index
@@ -56,9 +56,9 @@ def milvus(
     fake = FakeMilvus(tiny_index.neighbours, index_path)
     module = SimpleNamespace(load_published=fake.load_published)
     monkeypatch.setitem(sys.modules, "index.milvus", module)
-    monkeypatch.setattr(loading, "POLL_S", 0.01)
+    monkeypatch.setattr(serving, "POLL_S", 0.01)
     # The networks are loaded already.
-    monkeypatch.setattr(loading, "load_estimator", lambda _, read: estimator.with_index(read()))
+    monkeypatch.setattr(serving, "load_estimator", lambda _, read: estimator.with_index(read()))
     return fake
 
 
