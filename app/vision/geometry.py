@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -103,12 +102,6 @@ class Box:
         left, top = round(self.x + 0.5), round(self.y + 0.5)
         right, bottom = round(self.right + 0.5), round(self.bottom + 0.5)
         return left, top, max(left + 1, right), max(top + 1, bottom)
-
-
-def box_array(boxes: Iterable[Box]) -> Boxes:
-    """Boxes as an array ``(N, 4)``."""
-    rows = [[box.x, box.y, box.width, box.height] for box in boxes]
-    return np.array(rows, np.float64).reshape(-1, 4)
 
 
 def iou_matrix(first: Boxes, second: Boxes) -> NDArray[np.float64]:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from app.vision.appearance import colour_distance
 from app.vision.blazepose import PoseReading
 from app.vision.depth import DenseNetwork
-from app.vision.geometry import Box, PersonWindow, box_array, non_max_suppression
+from app.vision.geometry import Box, PersonWindow
 from app.vision.models import network_path
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
@@ -42,9 +42,10 @@ def tell_apart(found: Sequence[Detection]) -> tuple[list[Detection], list[Detect
 
     Of several detections of one person, the first is kept.
     """
-    ranks = -np.arange(float(len(found)))
-    kept = non_max_suppression(box_array(one.box for one in found), ranks, _SAME_BOX_IOU)
-    people, beside = [found[row] for row in kept], list[Detection]()
+    people, beside = list[Detection](), list[Detection]()
+    for one in found:
+        if all(one.box.iou(other.box) < _SAME_BOX_IOU for other in people):
+            people.append(one)
     for one in found:
         known = (*people, *beside)
         if not any(one is other or _same_keypoints(one, other) for other in known):
