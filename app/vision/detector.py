@@ -93,7 +93,7 @@ class NetworkDetector:
             Detections that overlap these people, best first. They count as parts of these people
             unless a reading beside these shows another body.
         """
-        people, scores, others = self._found(frame)
+        people, scores, others = self.candidates(frame)
         odds = detection_odds(scores)
         self._compare_with_objects(frame, people, odds, known_boxes)
         _raise_expected(people, odds, expected_boxes)
@@ -127,20 +127,6 @@ class NetworkDetector:
             # People hardly visible beside others look like part of them.
             odds[row] += gain if probability >= MIN_DETECTION_SCORE else max(0.0, gain)
 
-    def candidates(self, frame: NDArray[np.uint8]) -> tuple[list[Detection], NDArray[np.float64]]:
-        """Find all candidates of all detectors, however low their score.
-
-        Returns
-        -------
-        detections : list of Detection
-            One for each person, with the first detector's score and the windows of the others.
-        scores : (N, 3) float64 array
-            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
-            finds no person.
-        """
-        people, scores, _ = self._found(frame)
-        return people, scores
-
     def object_log_odds(self, frame: NDArray[np.uint8], one: Detection) -> tuple[float, float]:
         """As :meth:`ObjectNetwork.log_odds`, with the window upright or turned with the trunk."""
         roll = one.windows[0].roll_deg if one.windows else trunk_roll_deg(one.keypoints)
@@ -149,10 +135,21 @@ class NetworkDetector:
         windows = [replace(PersonWindow.about_box(one.box, roll), side=side) for roll in rolls]
         return max(self._objects.log_odds(frame, window) for window in windows)
 
-    def _found(
+    def candidates(
         self, frame: NDArray[np.uint8]
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
-        """All candidates with their scores, and other people in their boxes with probabilities."""
+        """Find all candidates of all detectors, however low their score.
+
+        Returns
+        -------
+        people : list of Detection
+            One for each person, with the first detector's score and the windows of the others.
+        scores : (N, 3) float64 array
+            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
+            finds no person.
+        others : list of Detection
+            Other people in the boxes of these, with their probabilities.
+        """
         picture = Picture.of(frame, self._min_person_px)
         columns = 2 + len(self._others)
         if not picture.tiles:

@@ -30,7 +30,7 @@ def measure_detection(
     candidates, spent = [], []
     for photograph in tqdm(photographs, desc="candidates", unit="photograph"):
         started = time.perf_counter()
-        found, scores = detector.candidates(photograph.frame)
+        found, scores, _ = detector.candidates(photograph.frame)
         spent.append(1000 * (time.perf_counter() - started))
         candidates.append((as_array([one.box for one in found]), detection_features(scores)))
     truths = [as_array(photograph.boxes) for photograph in photographs]

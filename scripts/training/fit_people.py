@@ -80,7 +80,7 @@ def candidate_samples(
 
     Each has the features of the detectors, then the log odds of objects.
     """
-    found, scores = detector.candidates(frame)
+    found, scores, _ = detector.candidates(frame)
     for one, row in zip(found, detection_features(scores), strict=True):
         truth = judge(one.box)
         if truth is not None:

@@ -243,7 +243,7 @@ def logit_of(probability: float) -> float:
 def test_a_body_adds_its_window_to_the_likelier_person_about_it() -> None:
     body = Detection(WINDOW.circle_box(), 0.7, None, (WINDOW,))
     people = [Detection(LEFT, 0.3), Detection(Box(66, 10, 60, 200), 0.4), Detection(RIGHT, 0.5)]
-    found, scores = told(*people, bodies=(body,)).candidates(BLANK)
+    found, scores, _ = told(*people, bodies=(body,)).candidates(BLANK)
     assert [one.windows for one in found] == [(), (WINDOW,), ()]
     assert scores[:, 0].tolist() == [0.3, 0.4, 0.5]
     assert scores[:, 2].tolist() == [0, 0.7, 0]
@@ -253,7 +253,7 @@ def test_a_body_adds_its_window_to_the_likelier_person_about_it() -> None:
 def test_a_body_that_the_first_detector_misses_counts_if_landmarks_show_it(presence: float) -> None:
     body = Detection(WINDOW.circle_box(), 0.7, None, (WINDOW,))
     detector = told(Detection(RIGHT, 0.5), bodies=(body,), presence=presence)
-    found, scores = detector.candidates(BLANK)
+    found, scores, _ = detector.candidates(BLANK)
     assert [one.windows for one in found] == [(), (WINDOW,)][: 1 + (presence > 0.5)]
     if presence > 0.5:
         assert found[1].box == painted(LEFT).landmarks.box()
