@@ -16,7 +16,10 @@ from index.posture import POSTURES
 
 
 class EventDetector:
-    """Watches the postures of one track, and whether the person falls."""
+    """Watches the postures of one track, and whether the person falls.
+
+    Its events have no ``track_id``, which the track sets.
+    """
 
     def __init__(self) -> None:
         self._last_at: float | None = None
@@ -26,7 +29,6 @@ class EventDetector:
 
     def update(
         self,
-        track_id: int,
         timestamp: float,
         shares: NDArray[np.float64],
         reliability: float,
@@ -45,7 +47,7 @@ class EventDetector:
         self._last_at, self._rests = timestamp, rests
 
         def happened(name: EventName, state: EventState | None, level: float) -> list[Event]:
-            return [Event(name, track_id, state, timestamp, level)] if state else []
+            return [Event(name, state, timestamp, level)] if state else []
 
         raised = float(shares[POSTURES.index("arms_raised")])
         state = self._arms_raised.update(raised, step)
@@ -56,18 +58,18 @@ class EventDetector:
         fell = self._falls.update(timestamp, observation.row(), rests=rests)
         return (*events, *happened("fell", "instant" if fell else None, self._falls.probability))
 
-    def lost(self, track_id: int, timestamp: float) -> tuple[Event, ...]:
+    def lost(self, timestamp: float) -> tuple[Event, ...]:
         """The fall of a person who is no longer visible, if the person was lost while falling."""
         if self._rests or not self._falls.lost(timestamp):
             return ()
-        return (Event("fell", track_id, "instant", timestamp, self._falls.probability, lost=True),)
+        return (Event("fell", "instant", timestamp, self._falls.probability, lost=True),)
 
     @property
     def has_fallen(self) -> bool:
         """Whether the person fell and no frame showed them getting up."""
         return self._falls.fallen
 
-    def unconfirmed(self, track_id: int) -> tuple[Event, ...]:
+    def unconfirmed(self) -> tuple[Event, ...]:
         """Events that had begun to show at the last frame but were not certain."""
         shown: dict[EventName, float] = {
             "arms_raised": 0.0 if self._arms_raised.holds else self._arms_raised.level,
@@ -75,7 +77,7 @@ class EventDetector:
             "fell": 0.0 if self._falls.fallen or self._rests else self._falls.probability,
         }
         return tuple(
-            Event(name, track_id, "unconfirmed", self._last_at or 0.0, level)
+            Event(name, "unconfirmed", self._last_at or 0.0, level)
             for name, level in shown.items()
             if level >= ENDS_BELOW
         )

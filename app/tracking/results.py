@@ -53,10 +53,10 @@ class Event:
     """
 
     event: EventName
-    track_id: int | None
     state: EventState
     timestamp: float
     probability: float
+    track_id: int | None = None
     zones: tuple[str, ...] = ()
     caller_track_id: str | None = None
     dwell_s: float | None = None

@@ -141,7 +141,7 @@ class Track:
         """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
         self._zone_watch.locate(zones, self.box_filter.seen, None)
-        return self._moment("entered", track_id, timestamp)
+        return self._moment("entered", timestamp)
 
     def update(
         self,
@@ -159,7 +159,6 @@ class Track:
         of the person's box that another person's box covers. The events of the frame are returned
         as well.
         """
-        track_id = self._known_id()
         self.last_estimate.update(person, timestamp)
         self._compare(person, frame, covered, timestamp)
         body, shares, smoothed = SeenBody.of(person), None, None
@@ -171,7 +170,7 @@ class Track:
         if self.seen_at == timestamp:
             # The posture says which part of the body has to be in a zone.
             crossings = self._zone_watch.update(
-                track_id, timestamp, zones, self.box_filter.seen, self._known_posture()
+                timestamp, zones, self.box_filter.seen, self._known_posture()
             )
         if body is None or shares is None:
             pose = self._smoother.extrapolate(person, timestamp)
@@ -179,7 +178,6 @@ class Track:
         pose = smoothed.pose if smoothed else None
         confidence = pose.confidence if pose else 0.0
         events = self._event_detector.update(
-            track_id,
             timestamp,
             shares,
             _reliability(person, confidence),
@@ -236,9 +234,7 @@ class Track:
 
     def unconfirmed(self) -> list[Event]:
         """Events that had begun to show at the last frame but were not certain."""
-        if self.track_id is None:
-            return []
-        return [*map(self._annotated, self._event_detector.unconfirmed(self.track_id))]
+        return [*map(self._annotated, self._event_detector.unconfirmed())]
 
     def lose(
         self, frame: NDArray[np.uint8], timestamp: float, *, alone: bool = True
@@ -253,8 +249,7 @@ class Track:
             return [], False
         events: list[Event] = []
         if alone and not self.hidden:
-            fell = self._event_detector.lost(self.track_id, timestamp)
-            events += map(self._annotated, fell)
+            events += map(self._annotated, self._event_detector.lost(timestamp))
         if events:
             self._rests_from = timestamp + _COMES_TO_REST_S
         if timestamp <= self._rests_from:
@@ -269,27 +264,27 @@ class Track:
         """End the track; return ``zone_left`` for the person's zones, and ``left``."""
         if self.track_id is None:
             return []
-        crossings = self._zone_watch.end(self.track_id, timestamp, self.seen_at)
-        return [*self._crossed(crossings), self._moment("left", self.track_id, timestamp)]
+        crossings = self._zone_watch.end(timestamp, self.seen_at)
+        return [*self._crossed(crossings), self._moment("left", timestamp)]
 
-    def _moment(self, name: EventName, track_id: int, timestamp: float) -> Event:
-        return self._annotated(Event(name, track_id, "instant", timestamp, self.score))
+    def _moment(self, name: EventName, timestamp: float) -> Event:
+        return self._annotated(Event(name, "instant", timestamp, self.score))
 
     def _annotated(self, event: Event) -> Event:
-        """An event of this track with the person's zones and the caller's identity."""
-        return replace(event, zones=self._zone_names(), caller_track_id=self.caller_id)
+        """An event of this track with its identities and the person's zones."""
+        return replace(
+            event,
+            track_id=self.track_id,
+            caller_track_id=self.caller_id,
+            zones=self._zone_names(),
+        )
 
     def _crossed(self, events: Sequence[Event]) -> list[Event]:
-        """Events of zones with the track's probability and the caller's identity."""
+        """Events of zones with the track's identities and probability."""
         return [
-            replace(event, probability=self.score, caller_track_id=self.caller_id)
+            replace(self._annotated(event), zones=event.zones, probability=self.score)
             for event in events
         ]
-
-    def _known_id(self) -> int:
-        if self.track_id is None:
-            raise ValueError("expected a confirmed track")
-        return self.track_id
 
     def _known_posture(self) -> PostureName | None:
         label = self._posture.label if self._posture else None
@@ -301,13 +296,14 @@ class Track:
     def _tracked(
         self, person: Person, pose: SmoothedPose | None, timestamp: float
     ) -> TrackedPerson:
+        assert self.track_id is not None, "only a confirmed track has results"
         still_s = timestamp - self._still_from if self._still is not None else 0.0
         known = {"facing": self._facing, "posture": self._posture}
         if timestamp - self._body_at > EXTRAPOLATED_S:
             known = {}
         return TrackedPerson(
             **vars(person) | known,
-            track_id=self._known_id(),
+            track_id=self.track_id,
             age_frames=self.age_frames,
             pose=pose,
             action=self._action,

@@ -135,7 +135,7 @@ class View:
 
     def _events(self, timestamp: float, state: EventState | None) -> list[Event]:
         level = self._blocked.level
-        return [Event("obstructed", None, state, timestamp, level)] if state else []
+        return [Event("obstructed", state, timestamp, level)] if state else []
 
 
 def edge_agreement(usual: NDArray[np.float32], grey: NDArray[np.uint8]) -> NDArray[np.float32]:

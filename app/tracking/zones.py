@@ -113,7 +113,8 @@ class ZoneWatch:
     """Watches which zones a person is in.
 
     A person enters a zone by staying inside its polygon for a while, and leaves it by staying
-    outside by a margin for a while. In between, nothing changes.
+    outside by a margin for a while. In between, nothing changes. Its events have no ``track_id``,
+    which the track sets.
     """
 
     def __init__(self) -> None:
@@ -128,7 +129,6 @@ class ZoneWatch:
 
     def update(
         self,
-        track_id: int,
         timestamp: float,
         zones: Sequence[Zone],
         box: Box,
@@ -142,57 +142,45 @@ class ZoneWatch:
         events = []
         removed = self._stays.keys() - {zone.name for zone in zones}
         for name in sorted(removed):
-            events += self._leave(name, track_id, timestamp, timestamp)
+            events += self._leave(name, timestamp, timestamp)
         for zone in zones:
             stay = self._stays.get(zone.name)
             has_entered = stay is not None and stay.entered
             if zone in self.zones or (has_entered and _is_near(zone, box, posture)):
-                events += self._inside(zone.name, track_id, timestamp)
+                events += self._inside(zone.name, timestamp)
             elif stay is not None:
-                events += self._outside(zone.name, stay, track_id, timestamp)
+                events += self._outside(zone.name, stay, timestamp)
         return events
 
-    def _inside(self, name: str, track_id: int, timestamp: float) -> list[Event]:
+    def _inside(self, name: str, timestamp: float) -> list[Event]:
         stay = self._stays.setdefault(name, _Stay(timestamp))
         stay.outside_since = None
         if stay.entered or timestamp - stay.since < STAYS_FROM_S:
             return []
         stay.entered = True
-        return [_crossing("zone_entered", name, track_id, timestamp)]
+        return [Event("zone_entered", "instant", timestamp, 1.0, zones=(name,))]
 
-    def _outside(self, name: str, stay: _Stay, track_id: int, timestamp: float) -> list[Event]:
+    def _outside(self, name: str, stay: _Stay, timestamp: float) -> list[Event]:
         if stay.outside_since is None:
             stay.outside_since = timestamp
         if stay.entered and timestamp - stay.outside_since < STAYS_FROM_S:
             return []
-        return self._leave(name, track_id, timestamp, timestamp)
+        return self._leave(name, timestamp, timestamp)
 
-    def end(self, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
+    def end(self, timestamp: float, seen_at: float) -> list[Event]:
         """Leave all zones; the person was last seen at ``seen_at``."""
-        names = list(self._stays)
-        return [
-            event for name in names for event in self._leave(name, track_id, timestamp, seen_at)
-        ]
+        return [event for name in [*self._stays] for event in self._leave(name, timestamp, seen_at)]
 
-    def _leave(self, name: str, track_id: int, timestamp: float, seen_at: float) -> list[Event]:
+    def _leave(self, name: str, timestamp: float, seen_at: float) -> list[Event]:
         stay = self._stays.pop(name)
         if not stay.entered:
             return []
         until = seen_at if stay.outside_since is None else stay.outside_since
-        return [_crossing("zone_left", name, track_id, timestamp, max(0.0, until - stay.since))]
+        dwell_s = max(0.0, until - stay.since)
+        return [Event("zone_left", "instant", timestamp, 1.0, zones=(name,), dwell_s=dwell_s)]
 
 
 def _is_near(zone: Zone, box: Box, posture: PostureName | None) -> bool:
     """Whether a person is at most the margin away from a zone's border."""
     margin_px = _MARGIN * max(box.width, box.height)
     return distance(zone.polygon, place(box, posture)) <= margin_px
-
-
-def _crossing(
-    name: Literal["zone_entered", "zone_left"],
-    zone: str,
-    track_id: int,
-    timestamp: float,
-    dwell_s: float | None = None,
-) -> Event:
-    return Event(name, track_id, "instant", timestamp, 1.0, (zone,), dwell_s=dwell_s)

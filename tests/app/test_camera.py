@@ -233,7 +233,7 @@ def test_who_was_hidden_does_not_fall_when_lost(
     session: CameraSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However likely the fall seemed: another one walked in front of them, then on."""
-    monkeypatch.setattr(EventDetector, "lost", lambda *_: [Event("fell", 1, "instant", 0.0, 1.0)])
+    monkeypatch.setattr(EventDetector, "lost", lambda *_: [Event("fell", "instant", 0.0, 1.0)])
     for step in range(12):
         left = 180 - 10 * step
         boxes = [Box(left - 0.5, 59.5, 30, PERSON)]

@@ -47,7 +47,7 @@ class FakeSession:
         self.frames += 1
         at = float(self.frames if timestamp is None else timestamp)
         session = "new" if self.frames == 1 else "warm"
-        entered = Event("entered", 1, "instant", at, 1.0)
+        entered = Event("entered", "instant", at, 1.0, 1)
         return result_of(self.frames - 1, at, width=n, session=session, events=(entered,))
 
 

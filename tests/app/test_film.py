@@ -120,7 +120,7 @@ def person(
 def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
     summary = VideoSummary()
     for index, (timestamp, persons) in enumerate(frames):
-        event = Event("entered", index + 1, "instant", timestamp, 1.0)
+        event = Event("entered", "instant", timestamp, 1.0, index + 1)
         summary.add(result_of(index, timestamp, persons=tuple(persons), events=(event,)))
     return summary
 

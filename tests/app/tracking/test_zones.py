@@ -130,7 +130,7 @@ GATE = zone("gate", 0, 100)
 def walk(feet_px: Iterable[float], fps: float = FPS) -> list[Event]:
     watch, events = ZoneWatch(), []
     for number, x in enumerate(feet_px):
-        events += watch.update(7, number / fps, [GATE], Box(x - 20, -20, 40, 100), "walking")
+        events += watch.update(number / fps, [GATE], Box(x - 20, -20, 40, 100), "walking")
     return events
 
 
@@ -144,9 +144,7 @@ def test_a_stay_begins_and_ends_with_its_length() -> None:
         ("zone_entered", 1.5, None),
         ("zone_left", 4.5, pytest.approx(3.0)),
     ]
-    assert {(event.track_id, event.state, event.zones) for event in events} == {
-        (7, "instant", ("gate",))
-    }
+    assert {(event.state, event.zones) for event in events} == {("instant", ("gate",))}
 
 
 @pytest.mark.parametrize("fps", [1, 5, 10, 30])
@@ -176,16 +174,15 @@ def test_zones_are_left_where_the_track_ends_or_the_camera_loses_them() -> None:
     for ends in (False, True):
         watch = ZoneWatch()
         for number in range(11):
-            watch.update(7, number / FPS, [GATE], box, None)
-        events = watch.end(7, 3.0, 1.0) if ends else watch.update(7, 3.0, [], box, None)
+            watch.update(number / FPS, [GATE], box, None)
+        events = watch.end(3.0, 1.0) if ends else watch.update(3.0, [], box, None)
         assert crossings(events) == [("zone_left", 3.0, 1.0 if ends else 3.0)]
-        assert events[0].track_id == 7
-        assert watch.end(7, 4.0, 4.0) == []
+        assert watch.end(4.0, 4.0) == []
 
 
 def test_every_zone_that_is_taken_away_is_left() -> None:
     watch, box = ZoneWatch(), Box(30, -20, 40, 100)
     for number in range(11):
-        watch.update(7, number / FPS, [GATE, zone("door", 0, 90)], box, None)
-    left = watch.update(7, 2.0, [], box, None)
+        watch.update(number / FPS, [GATE, zone("door", 0, 90)], box, None)
+    left = watch.update(2.0, [], box, None)
     assert [event.zones for event in left] == [("door",), ("gate",)]
