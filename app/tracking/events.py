@@ -6,12 +6,14 @@ Lying and raised arms follow from filtered postures, falls from a model
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
 from app.tracking.falls import FallWatch, Observation
 from app.tracking.filtering import ENDS_BELOW, MAX_STEP_S, Hysteresis
-from app.tracking.results import Event, EventName, EventState
+from app.tracking.results import Event, EventName
 from index.posture import POSTURES
 
 
@@ -23,7 +25,10 @@ class EventDetector:
 
     def __init__(self) -> None:
         self._last_at: float | None = None
-        self._lying, self._arms_raised = Hysteresis(), Hysteresis()
+        self._states: dict[Literal["arms_raised", "lying"], Hysteresis] = {
+            "arms_raised": Hysteresis(),
+            "lying": Hysteresis(),
+        }
         self._falls = FallWatch()
         self._rests = False
 
@@ -45,18 +50,14 @@ class EventDetector:
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         step = reliability * elapsed
         self._last_at, self._rests = timestamp, rests
-
-        def happened(name: EventName, state: EventState | None, level: float) -> list[Event]:
-            return [Event(name, state, timestamp, level)] if state else []
-
-        raised = float(shares[POSTURES.index("arms_raised")])
-        state = self._arms_raised.update(raised, step)
-        events = happened("arms_raised", state, self._arms_raised.level)
-        lies = 0.0 if rests else float(shares[POSTURES.index("lying")])
-        state = self._lying.update(lies, step)
-        events += happened("lying", state, self._lying.level)
-        fell = self._falls.update(timestamp, observation.row(), rests=rests)
-        return (*events, *happened("fell", "instant" if fell else None, self._falls.probability))
+        events = []
+        for name, state in self._states.items():
+            share = 0.0 if rests and name == "lying" else float(shares[POSTURES.index(name)])
+            if change := state.update(share, step):
+                events.append(Event(name, change, timestamp, state.level))
+        if self._falls.update(timestamp, observation.row(), rests=rests):
+            events.append(Event("fell", "instant", timestamp, self._falls.probability))
+        return tuple(events)
 
     def lost(self, timestamp: float) -> tuple[Event, ...]:
         """The fall of a person who is no longer visible, if the person was lost while falling."""
@@ -67,17 +68,15 @@ class EventDetector:
     @property
     def has_fallen(self) -> bool:
         """Whether the person fell and no frame showed them getting up."""
-        return self._falls.fallen
+        return self._falls.report.fallen
 
     def unconfirmed(self) -> tuple[Event, ...]:
         """Events that had begun to show at the last frame but were not certain."""
-        shown: dict[EventName, float] = {
-            "arms_raised": 0.0 if self._arms_raised.holds else self._arms_raised.level,
-            "lying": 0.0 if self._lying.holds else self._lying.level,
-            "fell": 0.0 if self._falls.fallen or self._rests else self._falls.probability,
+        levels: dict[EventName, float] = {
+            name: state.level for name, state in self._states.items() if state.is_unconfirmed
         }
-        return tuple(
-            Event(name, "unconfirmed", self._last_at or 0.0, level)
-            for name, level in shown.items()
-            if level >= ENDS_BELOW
-        )
+        fell = self._falls.probability
+        if fell >= ENDS_BELOW and not self.has_fallen and not self._rests:
+            levels["fell"] = fell
+        at = self._last_at or 0.0
+        return tuple(Event(name, "unconfirmed", at, level) for name, level in levels.items())

@@ -271,15 +271,10 @@ class FallWatch:
 
     def __init__(self) -> None:
         self._seen: deque[tuple[float, NDArray[np.float64]]] = deque()
-        self._report = FallReport()
+        self.report = FallReport()
         self.probability = 0.0
         """Probability of the last frame that the person fell within the last seconds and is down.
         """
-
-    @property
-    def fallen(self) -> bool:
-        """Whether a fall was reported and the person was not seen to get up."""
-        return self._report.fallen
 
     def update(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
@@ -289,7 +284,7 @@ class FallWatch:
         """
         self._add(timestamp, row)
         self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
-        return self._report.update(timestamp, self.probability, up)
+        return self.report.update(timestamp, self.probability, up)
 
     def _add(self, timestamp: float, row: NDArray[np.float64]) -> None:
         """Keep what a frame shows, and forget what the network does not see or need."""
@@ -305,7 +300,7 @@ class FallWatch:
         if not self._seen:
             return False
         self.probability, up = self._probabilities(timestamp)
-        return self._report.update(timestamp, self.probability, up, lost=True)
+        return self.report.update(timestamp, self.probability, up, lost=True)
 
     def _probabilities(self, timestamp: float) -> tuple[float, float]:
         times = np.array([time for time, _ in self._seen])
