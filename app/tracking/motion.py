@@ -236,14 +236,13 @@ REFERENCE_HZ = 10.0
 class Motion:
     """How a person moves at a frame, and which way they face.
 
-    ``elevation_deg``, of the camera above the person, is averaged over the track. ``px_per_m`` is
-    the scale of this frame. ``walks`` says whether the motion shows the heading.
+    ``elevation_deg``, of the camera above the person, is averaged over the track. ``walks`` says
+    whether the motion shows the heading.
     """
 
     velocity: GroundVelocity
     heading: Heading
     elevation_deg: float
-    px_per_m: float
     walks: bool
 
 
@@ -264,7 +263,7 @@ class MotionFilter:
             timestamp, body.azimuths_deg, softmax(likelihoods), body.clarity, velocity
         )
         walks = self._headings.walking_weight(velocity) > 0
-        return Motion(velocity, heading, self._ground.elevation_deg, body.px_per_m, walks)
+        return Motion(velocity, heading, self._ground.elevation_deg, walks)
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:

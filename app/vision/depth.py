@@ -36,8 +36,6 @@ class Body3D:
     sigmas: NDArray[np.float64]  # (33,): expected absolute error along the line of sight, metres
     # (3,): the middle of the hips, metres from the camera, estimated from the body's size.
     origin: NDArray[np.float64]
-    # (3, 3): rotation from camera axes to those of the window's line of sight (without its roll).
-    sight: NDArray[np.float64]
 
     def along_sight(self, camera: PinholeCamera, landmarks: Landmarks) -> NDArray[np.float64]:
         """The points ``(33, 3)`` in the axes of the line of sight to the hips."""
@@ -66,8 +64,7 @@ def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body
     rays = camera.rays(reading.landmarks.positions)
     placed = place_on_sight_lines(metres, rays, axes, weights)
     hips = placed.points[HIPS].mean(axis=0)
-    sight = roll_rotation(-reading.window.roll_deg) @ axes
-    return Body3D(placed.points - hips, depths.sigmas, hips, sight)
+    return Body3D(placed.points - hips, depths.sigmas, hips)
 
 
 @dataclass(frozen=True)

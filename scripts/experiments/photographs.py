@@ -23,7 +23,7 @@ from app.vision.blazepose import PoseReading
 from app.vision.depth import Body3D, Depths, body_of, network_depths
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, Trust, load_photograph_models
-from app.vision.optics import PinholeCamera
+from app.vision.optics import PinholeCamera, window_axes
 from app.vision.people import Detection
 from app.vision.truncation import attenuate_visibility_at_border
 from index.build.calibrate import expected_calibration_error
@@ -198,9 +198,10 @@ def depth_errors(
     plain = body_of(reading, camera, own_depths)
     found = (reading.landmarks.metres, plain.points, body.points)
     apart = [about_hips(points[LIMBS]) - about_hips(truth) for points in found]
+    sight = window_axes(camera, reading.window)[2]
     return [
         *(float(np.linalg.norm(one, axis=1).mean()) for one in apart),
-        float(np.abs(apart[2] @ body.sight[2]).mean()),
+        float(np.abs(apart[2] @ sight).mean()),
         float(body.sigmas[LIMBS].mean()),
     ]
 
