@@ -42,14 +42,11 @@ class Estimator:
 
     Parameters
     ----------
-    min_person_px : float or None
-        Height of the smallest person wanted, pixels: for backgrounds, and for changes in a camera's
-        scene; the detector has its own.
+    min_person_px, max_persons
+        Those of :class:`app.estimation.finder.PeopleFinder`; an upload that marks more people is
+        refused.
     max_pixels : int
         Largest image accepted, width times height.
-    max_persons : int
-        Largest number of people. Further detections are dropped, those with the lowest scores
-        first; an upload that marks more people is refused.
     """
 
     def __init__(
@@ -259,7 +256,7 @@ def load_estimator(
     """
     settings = settings or Settings()
     with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
-        models = pool.submit(load_models, settings.concurrency, settings.min_person_px)
+        models = pool.submit(load_models, settings.concurrency)
         index = read_index() if read_index else load_index(settings.index)
     match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
     return Estimator(
@@ -271,12 +268,11 @@ def load_estimator(
     )
 
 
-def load_models(concurrency: int, min_person_px: float | None) -> Models:
+def load_models(concurrency: int) -> Models:
     """Load the networks that detect and read people, and the models that judge what was read.
 
     Networks run once, because the first run is slow. The ``concurrency`` of frames processed at
-    once share the cores. People of at least ``min_person_px`` are found, by default of a share of
-    the frame's height.
+    once share the cores.
 
     Raises
     ------
@@ -295,7 +291,7 @@ def load_models(concurrency: int, min_person_px: float | None) -> Models:
     pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
     objects = ObjectNetwork(network_path("objects"), **share)
     detectors = MoveNetDetector(movenet, small_movenet), pose_detection
-    detector = NetworkDetector(detectors, landmarks, objects, min_person_px=min_person_px)
+    detector = NetworkDetector(detectors, landmarks, objects)
     frame = np.full((240, 320, 3), 127, np.uint8)
     box = Box(120.0, 40.0, 60.0, 160.0)
     detector.detect(frame)

@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     estimator = load_estimator(Settings())
     estimate = estimator.estimate(upload, options.n, Job())
     options.out.mkdir(parents=True, exist_ok=True)
-    people, perhaps_beside = estimator.models.detector.detect(estimate.frame)
+    people, perhaps_beside = estimator.finder.search(estimate.frame, Job())
     drawn = draw_detections(estimate.frame, [*people, *perhaps_beside])
     pictures = {"detections.png": drawn}
     for number, person in enumerate(estimate.persons, start=1):

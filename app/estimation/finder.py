@@ -94,14 +94,21 @@ _BODY_MARGIN = 0.1
 class PeopleFinder:
     """Finds people with the detector, or where the caller marks them.
 
-    ``min_person_px`` is the height of the smallest person wanted, pixels: for backgrounds, and for
-    changes in a camera's scene; the detector has its own. At most ``max_persons`` people are found,
-    those with the highest scores.
+    ``min_person_px`` is the height of the smallest person wanted, pixels; by default a share of the
+    frame's height. At most ``max_persons`` people are found, those with the highest scores.
     """
 
     models: Models
     min_person_px: float | None
     max_persons: int
+
+    def __post_init__(self) -> None:
+        if self.min_person_px is not None and not self.min_person_px > 0:
+            raise ValueError(f"expected a positive min_person_px, got {self.min_person_px}")
+
+    def smallest_px(self, frame_shape: tuple[int, ...]) -> float:
+        """Height of the smallest person wanted in a frame of this shape, pixels."""
+        return smallest_person_px(frame_shape, self.min_person_px)
 
     def find(self, upload: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
         """Find the people of a frame with their silhouettes, in no particular order.
@@ -142,9 +149,8 @@ class PeopleFinder:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes], [], cut
         if changed is None:
             return "detector", *self.search(frame, job), cut
-        smallest = smallest_person_px(frame.shape, self.min_person_px)
         with job.stage("detect"):
-            found = self._most(upright_regions(changed, smallest), job)
+            found = self._most(upright_regions(changed, self.smallest_px(frame.shape)), job)
         job.checkpoint()
         return "background", found, [], cut
 
@@ -166,7 +172,7 @@ class PeopleFinder:
         ``known`` the boxes of tracked people.
         """
         with job.stage("detect"):
-            people, beside = self.models.detector.detect(frame, lost, known)
+            people, beside = self.models.detector.detect(frame, lost, known, self.min_person_px)
         job.checkpoint()
         return self._most(people, job), beside[: max(0, self.max_persons - len(people))]
 

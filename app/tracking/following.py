@@ -25,7 +25,6 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.track import Track
 from app.vision.blazepose import PoseReading
-from app.vision.detectors.tiles import smallest_person_px
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
 from app.vision.images import reduced_grey
 from app.vision.people import Detection
@@ -107,7 +106,7 @@ class TrackedPeopleDetector:
         """
         if timestamp - self._searched_at >= EMPTY_SEARCH_EVERY_S:
             return False
-        smallest = smallest_person_px(shape, self._finder.min_person_px)
+        smallest = self._finder.smallest_px(shape)
         return self._scene.is_still_in_file(data, shape, smallest, timestamp)
 
     def _targets(
@@ -119,7 +118,7 @@ class TrackedPeopleDetector:
         people who do not move may stay as they were.
         """
         state = _Followed.at(timestamp, tracks, self._read_at)
-        smallest = smallest_person_px(frame.shape, self._finder.min_person_px)
+        smallest = self._finder.smallest_px(frame.shape)
         still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, state, is_still=still)

@@ -55,8 +55,6 @@ class NetworkDetector:
         Confirms people that the first detector misses.
     objects : ObjectNetwork
         Compares doubtful people with other objects.
-    min_person_px : float, optional
-        Height of the smallest person wanted, in pixels; by default a share of the frame's height.
     """
 
     def __init__(
@@ -64,26 +62,23 @@ class NetworkDetector:
         detectors: Sequence[Detector],
         landmarks: LandmarkNetwork,
         objects: ObjectNetwork,
-        *,
-        min_person_px: float | None = None,
     ) -> None:
         self._first, *self._others = detectors
         self._landmarks = landmarks
         self._objects = objects
-        self._min_person_px = min_person_px
-        if min_person_px is not None and not min_person_px > 0:
-            raise ValueError(f"expected a positive min_person_px, got {min_person_px}")
 
     def detect(
         self,
         frame: NDArray[np.uint8],
         expected_boxes: Sequence[Box] = (),
         known_boxes: Sequence[Box] = (),
+        min_person_px: float | None = None,
     ) -> tuple[list[Detection], list[Detection]]:
         """Find the people of a frame ``(H, W, 3)``, BGR, and possible people beside them.
 
         ``expected_boxes`` surround people who were visible a moment ago and have not left the
-        frame; ``known_boxes`` surround people who need no comparison with other objects.
+        frame; ``known_boxes`` surround people who need no comparison with other objects. The
+        smallest person wanted is ``min_person_px`` high, by default a share of the frame's height.
 
         Returns
         -------
@@ -93,7 +88,7 @@ class NetworkDetector:
             Detections that overlap these people, best first. They count as parts of these people
             unless a reading beside these shows another body.
         """
-        people, scores, others = self.candidates(frame)
+        people, scores, others = self.candidates(frame, min_person_px)
         odds = detection_odds(scores)
         self._compare_with_objects(frame, people, odds, known_boxes)
         _raise_expected(people, odds, expected_boxes)
@@ -136,7 +131,7 @@ class NetworkDetector:
         return max(self._objects.log_odds(frame, window) for window in windows)
 
     def candidates(
-        self, frame: NDArray[np.uint8]
+        self, frame: NDArray[np.uint8], min_person_px: float | None = None
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
         """Find all candidates of all detectors, however low their score.
 
@@ -150,7 +145,7 @@ class NetworkDetector:
         others : list of Detection
             Other people in the boxes of these, with their probabilities.
         """
-        picture = Picture.of(frame, self._min_person_px)
+        picture = Picture.of(frame, min_person_px)
         columns = 2 + len(self._others)
         if not picture.tiles:
             return [], np.zeros((0, columns)), []

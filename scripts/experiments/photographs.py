@@ -86,7 +86,7 @@ def run(options: argparse.Namespace) -> Figures:
     settings, real = Settings(), options.shared / "real"
     if not real.is_dir():
         raise FileNotFoundError(f"expected real frames in {real}, found none")
-    networks = load_models(settings.concurrency, settings.min_person_px)
+    networks = load_models(settings.concurrency)
     models = load_photograph_models(options.models)
     depths: dict[str, list[list[float]]] = defaultdict(list)
     answers: list[Answer] = []

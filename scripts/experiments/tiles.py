@@ -27,12 +27,12 @@ def run(options: argparse.Namespace) -> None:
     photographs = [(one.frame, one.boxes) for one in read_pennfudan(real / "pennfudan")]
     frames = dict(read_vtest(real / "vtest", len(read_marks())))
     marked = [(frames[one.frame], one.people) for one in read_marks() if not one.ignored]
+    detector = load_models(1).detector
     for min_person_px in (None, 30.0):
-        detector = load_models(1, min_person_px).detector
         for name, pictures in (("photographs", photographs), ("street", marked)):
             found, truths, started = [], [], time.process_time()
             for frame, boxes in scenes(pictures):
-                people = detector.detect(frame)[0]
+                people = detector.detect(frame, min_person_px=min_person_px)[0]
                 scores = np.array([one.score for one in people])
                 found.append((as_array([one.box for one in people]), scores))
                 truths.append(as_array(boxes))

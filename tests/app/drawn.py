@@ -39,7 +39,7 @@ class ColourDetector:
         self.known: Sequence[Box] = ()
 
     def detect(
-        self, frame: NDArray[np.uint8], lost: Sequence[Box] = (), known: Sequence[Box] = ()
+        self, frame: NDArray[np.uint8], lost: Sequence[Box], known: Sequence[Box], *_: object
     ) -> tuple[list[Detection], list[Detection]]:
         self.searches += 1
         self.lost, self.known = lost, known

@@ -57,6 +57,12 @@ def followed(box: Box, expected: PersonWindow | PoseReading) -> Target:
     return Target(Detection(box, 0.7), expected, followed=True)
 
 
+def test_an_impossible_size_is_refused() -> None:
+    models = finder(KnownReader({})).models
+    with pytest.raises(ValueError, match="min_person_px"):
+        PeopleFinder(models, 0, 9)
+
+
 def test_people_are_seen_with_what_their_readings_show() -> None:
     reader = KnownReader({LEFT: BODIES[0], RIGHT: BODIES[1]})
     targets = [Target(detected(BODIES[0], LEFT)), Target(Detection(RIGHT, 0.6))]

@@ -1,7 +1,5 @@
 """What the tests of vision share: a small street scene, and the networks that ship."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from hypothesis import strategies as st
@@ -25,8 +23,13 @@ def moved(box: Box, x: float, y: float) -> Box:
     return Box(box.x + x, box.y + y, box.width, box.height)
 
 
-def found_share(detector: NetworkDetector, frame: NDArray[np.uint8], people: list[Box]) -> float:
-    boxes = [one.box for one in detector.detect(frame)[0]]
+def found_share(
+    detector: NetworkDetector,
+    frame: NDArray[np.uint8],
+    people: list[Box],
+    min_person_px: float | None = None,
+) -> float:
+    boxes = [one.box for one in detector.detect(frame, min_person_px=min_person_px)[0]]
     return float(np.mean([max([p.iou(b) for b in boxes], default=0) >= 0.5 for p in people]))
 
 
@@ -79,19 +82,14 @@ def objects() -> ObjectNetwork:
 
 
 @pytest.fixture(scope="session")
-def make_network_detector(
+def detector(
     movenet: MoveNet,
     body_detector: BlazePoseDetector,
     landmark_network: LandmarkNetwork,
     objects: ObjectNetwork,
-) -> Callable[..., NetworkDetector]:
+) -> NetworkDetector:
     detectors = MoveNetDetector(movenet, movenet), body_detector
-    return lambda **limits: NetworkDetector(detectors, landmark_network, objects, **limits)
-
-
-@pytest.fixture(scope="session")
-def detector(make_network_detector: Callable[..., NetworkDetector]) -> NetworkDetector:
-    return make_network_detector()
+    return NetworkDetector(detectors, landmark_network, objects)
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,6 @@
 """Detection: one box for each person, tiles, expected people, and the fitted probability."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +25,6 @@ from app.vision.rescoring import ObjectNetwork, hog_margin
 from tests.app.painted import detected, painted
 from tests.app.vision.conftest import found_share, moved, scores_of
 
-Make = Callable[..., NetworkDetector]
 MIN_SCORE = "app.vision.detector.MIN_DETECTION_SCORE"
 
 
@@ -63,34 +61,29 @@ def test_scores_below_the_minimum_are_left_out(
     assert detector.detect(street)[0] == []
 
 
-def test_an_impossible_size_is_refused(make_network_detector: Make) -> None:
-    with pytest.raises(ValueError, match="min_person_px"):
-        make_network_detector(min_person_px=0)
-
-
 def test_each_person_of_a_crowd_is_detected_once(
-    make_network_detector: Make, street: NDArray[np.uint8], walkers: list[Box]
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
     """Eighteen walkers in a frame of 894x640, seen in tiles since small people are wanted."""
     height, width = street.shape[:2]
     people = [moved(box, x * width, y * height) for x in range(3) for y in range(2)
               for box in walkers]  # fmt: skip
-    detector, frame = make_network_detector(min_person_px=40), np.tile(street, (2, 3, 1))
-    assert found_share(detector, frame, people) > 0.9
-    boxes = [one.box for one in detector.detect(frame)[0]]
+    frame = np.tile(street, (2, 3, 1))
+    assert found_share(detector, frame, people, 40) > 0.9
+    boxes = [one.box for one in detector.detect(frame, min_person_px=40)[0]]
     for number, box in enumerate(boxes):
         assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
 
 
 @pytest.mark.parametrize("x", range(380, 560, 20))
 def test_person_across_two_tiles_is_detected_once(
-    make_network_detector: Make, street: NDArray[np.uint8], walkers: list[Box], x: int
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], x: int
 ) -> None:
     """A walker moved across the seams of a frame of 1000x500 on plain asphalt."""
     left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
     frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
     frame[200:330, x : x + 64] = street[top : top + 130, left : left + 64]
-    found, _ = make_network_detector(min_person_px=40).detect(frame)
+    found, _ = detector.detect(frame, min_person_px=40)
     expected = moved(walkers[1], x - left, 200 - top)
     assert [one.box.iou(expected) > 0.6 for one in found] == [True]
 
