@@ -304,26 +304,25 @@ class PeopleFinder:
             return body
         if masked:
             reading = self.models.reader.with_mask(reading)
-        judged = None
-        if reading.network_pass is not None:
-            judged = self.models.judgement.judge(reading, camera)
-        return replace(body, reading=reading, judged=judged)
+        return replace(body, reading=reading, judged=self.models.judgement.judge(reading, camera))
 
     def _with_reading(
         self, person: Person, body: _Body, upload: DecodedUpload, *, landmarks: bool
     ) -> Person:
         """Add whether the body is truncated according to the reading, and landmarks if wanted."""
         reading, judged = body.reading, body.judged
-        if reading is None:
+        if reading is None or judged is None:
             return person
         shape, silhouette = upload.frame.shape, person.silhouette
         visible = attenuate_visibility_at_border(reading, shape)
         if silhouette is not None and end_beyond_border(person.box, visible, shape):
             silhouette = replace(silhouette, truncated=True)
-        person = replace(person, silhouette=silhouette, next_window=reading.next_window)
-        if judged is None:
-            return replace(person, landmarks=visible if landmarks else None)
-        person = replace(person, presence=judged.trust.person)
+        person = replace(
+            person,
+            silhouette=silhouette,
+            next_window=reading.next_window,
+            presence=judged.trust.person,
+        )
         if not landmarks:
             return person
         metres = judged.body.along_sight(upload.camera, visible)

@@ -37,6 +37,7 @@ class PoseReading:
     landmarks: Landmarks  # in pixels of the frame, and metres
     presence: float  # the network's probability that a person is in the window
     next_window: PersonWindow  # the window that the landmarks point to
+    network_pass: NetworkPass  # the raw output of the network
     # (256, 256): probability that each pixel of the window shows the person; None before
     # :meth:`MaskNetwork.read`.
     probability: NDArray[np.float32] | None = None
@@ -44,8 +45,6 @@ class PoseReading:
     mask_inputs: tuple[NDArray[np.float32], ...] = ()
     # MoveNet's keypoints of the same person, in pixels of the frame.
     keypoints: ObservedKeypoints | None = None
-    # The raw output of the network; None if the reading was made by hand.
-    network_pass: NetworkPass | None = None
 
     @property
     def body_px(self) -> float:
@@ -56,13 +55,6 @@ class PoseReading:
     def drift(self) -> float:
         """Distance from this window to the next, as a share of its side; large if it is wrong."""
         return self.window.drift(self.next_window)
-
-    @property
-    def raw(self) -> NetworkPass:
-        """The network's pass; ``ValueError`` if the reading was made by hand."""
-        if self.network_pass is None:
-            raise ValueError("expected a reading with its pass of the network, got one without")
-        return self.network_pass
 
 
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
@@ -164,8 +156,8 @@ class LandmarkNetwork:
             Landmarks(positions[:LANDMARKS], visibility, metres),
             float(presence[0]),
             PersonWindow.about_circle(positions[_CIRCLE_CENTRE], positions[_CIRCLE_TOP]),
+            NetworkPass(raw_points, raw_world, float(presence[0]), middle, last),
             mask_inputs=tuple(mask_inputs),
-            network_pass=NetworkPass(raw_points, raw_world, float(presence[0]), middle, last),
         )
 
 

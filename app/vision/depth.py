@@ -50,14 +50,9 @@ def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body
     """Put landmarks onto their lines of sight at corrected depths.
 
     A landmark's weight when the body is placed is the probability that it is visible.
-
-    Raises
-    ------
-    ValueError
-        If the reading is not from the network.
     """
     axes = window_axes(camera, reading.window)
-    metres = reading.raw.world[:LANDMARKS].astype(np.float64)
+    metres = reading.network_pass.world[:LANDMARKS].astype(np.float64)
     metres = metres - metres[HIPS].mean(axis=0)
     metres[:, 2] = depths.metres
     weights = np.maximum(reading.landmarks.visibility, _MIN_WEIGHT)
@@ -91,7 +86,7 @@ class DepthModel:
 
     def correct(self, reading: PoseReading, camera: PinholeCamera) -> Depths:
         """Correct the depths of a reading."""
-        window, given = reading.window, reading.raw
+        window, given = reading.window, reading.network_pass
         places = np.array([[window.x, window.y, window.side, window.roll_deg]])
         sight = sight_features(places, camera.focal[None], camera.centre[None])
         features = depth_features(given.points[None], given.world[None], given.sampled[None], sight)

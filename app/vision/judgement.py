@@ -82,11 +82,11 @@ class PhotographModels:
     posture: PostureModel
 
     def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
-        """A reading in three dimensions; ``ValueError`` if it is not from the network."""
+        """A reading in three dimensions."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
     def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
-        """A reading of the network in three dimensions, how far to trust it, and its posture."""
+        """A reading in three dimensions, how far to trust it, and its posture."""
         body, trust, evidence = self.evidence(reading, camera)
         return Judgement(body, trust, self.posture.estimate(evidence, trust.right))
 
@@ -94,7 +94,8 @@ class PhotographModels:
         self, reading: PoseReading, camera: PinholeCamera
     ) -> tuple[Body3D, Trust, PostureEvidence]:
         """A reading in three dimensions, how far to trust it, and what shows its posture."""
-        body, given, landmarks = self.body(reading, camera), reading.raw, reading.landmarks
+        body, landmarks = self.body(reading, camera), reading.landmarks
+        given = reading.network_pass
         trusted = trust_features(
             given.points[None],
             given.world[None],

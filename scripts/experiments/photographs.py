@@ -194,7 +194,7 @@ def depth_errors(
     reading: PoseReading, body: Body3D, camera: PinholeCamera, truth: NDArray[np.float64]
 ) -> list[float]:
     """Return errors in metres: own, on lines of sight, corrected, along the sight; and sigma."""
-    own_depths = Depths(network_depths(reading.raw.world[None])[0], np.ones(33))
+    own_depths = Depths(network_depths(reading.network_pass.world[None])[0], np.ones(33))
     plain = body_of(reading, camera, own_depths)
     found = (reading.landmarks.metres, plain.points, body.points)
     apart = [about_hips(points[LIMBS]) - about_hips(truth) for points in found]

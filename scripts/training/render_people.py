@@ -69,9 +69,7 @@ def first_window(photograph: Photograph, generator: np.random.Generator) -> Pers
 
 def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowRows:
     """The training data of one reading, as a single row."""
-    given = reading.network_pass
-    assert given is not None
-    window = reading.window
+    given, window = reading.network_pass, reading.window
     return WindowRows(
         np.array([number]),
         given.points[None],

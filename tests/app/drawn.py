@@ -14,9 +14,9 @@ from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, sample_window
-from app.vision.judgement import load_photograph_models
 from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
+from tests.app.painted import BLANK_PASS, Believing
 from tests.conftest import png
 
 ROWS, COLUMNS = 200, 320
@@ -98,6 +98,7 @@ class ColourReader:
             Landmarks(places, np.full(33, 0.9), np.column_stack([shares - 0.5, shares[:, 0]])),
             1.0 if seen else 0.0,
             PersonWindow(*corner.tolist(), 1.25 * PERSON) if seen else window,
+            BLANK_PASS,
             mask.astype(np.float32),
         )
 
@@ -117,7 +118,7 @@ def drawn_estimator(index: PoseIndex) -> Estimator:
     """An estimator that finds and reads the drawn people."""
     return Estimator(
         index,
-        Models(ColourDetector(), ColourReader(), load_photograph_models()),  # type: ignore[arg-type]
+        Models(ColourDetector(), ColourReader(), Believing()),  # type: ignore[arg-type]
         min_person_px=50,
         max_pixels=10**6,
         max_persons=4,

@@ -2,13 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.blazepose import LANDMARK_PX, MAP_SHAPES, NetworkPass, PoseReading
+from app.vision.depth import Body3D
 from app.vision.geometry import Box, PersonWindow, transform_points
+from app.vision.judgement import FRAME_POSTURES, FramePosture, Judgement, Trust
+from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
     LANDMARK_NAMES,
@@ -16,6 +20,26 @@ from app.vision.people import (
     Landmarks,
     ObservedKeypoints,
 )
+
+BLANK_PASS = NetworkPass(
+    np.zeros((39, 5), np.float32),
+    np.zeros((39, 3), np.float32),
+    1.0,
+    *(np.zeros(shape, np.float32) for shape in MAP_SHAPES),
+)
+"""The raw output of a network that saw nothing, for readings that no network made."""
+
+
+class Believing:
+    """Judges that readings are as right as the person is present, and that everybody stands."""
+
+    depth = SimpleNamespace(covariance=lambda sigmas: np.diag(2 * sigmas**2))
+
+    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+        body = Body3D(reading.landmarks.metres, np.full(33, 0.1), np.array([0.0, 0.0, 5.0]))
+        posture = 0.9 * np.array([name == "standing" for name in FRAME_POSTURES]) + 0.1 / 6
+        trust = Trust(reading.presence, reading.presence)
+        return Judgement(body, trust, FramePosture(posture))
 
 
 def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 0.0) -> PoseReading:
@@ -40,7 +64,7 @@ def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 
     across = middle[0] + sides * width / 2 * box.width
     positions = np.stack([across, box.y + np.array(shares) * box.height], axis=1)
     landmarks = Landmarks(positions, np.ones(33), np.zeros((33, 3)))
-    return PoseReading(window, landmarks, 1.0, window, probability.astype(np.float32))
+    return PoseReading(window, landmarks, 1.0, window, BLANK_PASS, probability.astype(np.float32))
 
 
 def keypoints_on(reading: PoseReading, x: float = 0.0, y: float = 0.0) -> ObservedKeypoints:

@@ -1,6 +1,5 @@
 """Bodies, trust and postures of readings: what must hold whatever the models were taught."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -203,14 +202,6 @@ def test_a_wider_view_brings_people_nearer(
         models.body(readings[1], PinholeCamera.of_frame(street.shape, fov)) for fov in (40, 80)
     )
     assert wide.origin[2] < narrow.origin[2]
-
-
-def test_a_reading_without_its_pass_is_refused(
-    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
-) -> None:
-    bare = replace(readings[0], network_pass=None)
-    with pytest.raises(ValueError, match="pass of the network"):
-        models.body(bare, PinholeCamera.of_frame(street.shape))
 
 
 def test_asphalt_is_nobody(

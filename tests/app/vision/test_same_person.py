@@ -19,7 +19,7 @@ from app.vision.same_person import (
     shows,
     tell_apart,
 )
-from tests.app.painted import detected, painted
+from tests.app.painted import BLANK_PASS, detected, painted
 
 BODY_PX = 80.0
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def reading(x: float, y: float = 0.0) -> PoseReading:
     landmarks = Landmarks(np.add(offsets, [x, y]), np.linspace(0.2, 1, 33), np.zeros((33, 3)))
     window = PersonWindow(x, y, 2 * WINDOW_SCALE * BODY_PX)
     probability = np.zeros((LANDMARK_PX, LANDMARK_PX), np.float32)
-    return PoseReading(window, landmarks, 1.0, window, probability)
+    return PoseReading(window, landmarks, 1.0, window, BLANK_PASS, probability)
 
 
 def test_readings_are_grouped_by_body() -> None:

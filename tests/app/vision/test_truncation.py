@@ -27,6 +27,7 @@ from app.vision.truncation import (
     touches_border,
     with_truncation,
 )
+from tests.app.painted import BLANK_PASS
 
 
 def block(left: int, top: int, width: int, height: int) -> Silhouette:
@@ -137,7 +138,12 @@ def test_landmarks_near_the_border_are_as_visible_as_the_keypoint_next_to_them(
     scores[COCO_NAMES.index(keypoint)] = 0.05
     window = PersonWindow(50, 50, 100)
     reading = PoseReading(
-        window, landmarks_but(), 1.0, window, keypoints=ObservedKeypoints(np.zeros((17, 2)), scores)
+        window,
+        landmarks_but(),
+        1.0,
+        window,
+        BLANK_PASS,
+        keypoints=ObservedKeypoints(np.zeros((17, 2)), scores),
     )
     reach = 0.3 * reading.body_px
     nearest = 50 + math.ceil(reach)
