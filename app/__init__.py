@@ -8,32 +8,17 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
+# Type checkers see neither `__getattr__` nor a computed `__all__`; `as` exports the names to them.
 if TYPE_CHECKING:
-    from app.camera import CameraSession
-    from app.estimation.upload import Upload, UploadError
-    from app.photograph import Estimator, load_estimator
-    from app.settings import Settings
-    from app.tracking.zones import Zone
-    from app.vision.geometry import Box
-    from app.vision.optics import Optics
-
-__all__ = [
-    "VERSION",
-    "Box",
-    "CameraSession",
-    "Estimator",
-    "Optics",
-    "Settings",
-    "Upload",
-    "UploadError",
-    "Zone",
-    "load_estimator",
-]
-
-try:
-    VERSION = version("silhouette-pose")
-except PackageNotFoundError:  # The checkout was never installed.
-    VERSION = "0.0.0"
+    from app.camera import CameraSession as CameraSession
+    from app.estimation.upload import Upload as Upload
+    from app.estimation.upload import UploadError as UploadError
+    from app.photograph import Estimator as Estimator
+    from app.photograph import load_estimator as load_estimator
+    from app.settings import Settings as Settings
+    from app.tracking.zones import Zone as Zone
+    from app.vision.geometry import Box as Box
+    from app.vision.optics import Optics as Optics
 
 _PLACES = {
     "Box": "app.vision.geometry",
@@ -46,6 +31,13 @@ _PLACES = {
     "Zone": "app.tracking.zones",
     "load_estimator": "app.photograph",
 }
+
+__all__ = ["VERSION", *_PLACES]
+
+try:
+    VERSION = version("silhouette-pose")
+except PackageNotFoundError:  # The checkout was never installed.
+    VERSION = "0.0.0"
 
 
 def __getattr__(name: str) -> object:
