@@ -85,8 +85,8 @@ class Settings(BaseSettings):
     )
     max_wait_s: _Seconds = Field(
         default=2.0,
-        description="Longest wait of an uploaded frame for a thread; one that is expected to wait "
-        "for more than three quarters of it is refused at once.",
+        description="How long an uploaded frame may wait for a thread. A frame expected to wait "
+        "longer than three quarters of this is refused at once.",
     )
     request_timeout_s: _Seconds = Field(
         default=10.0, description="Longest time from the end of the upload to the reply."

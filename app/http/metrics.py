@@ -105,7 +105,7 @@ class Metrics:
             "pose_in_flight", "Frames being processed or waiting.")
         self.capacity_used = gauge(
             "pose_capacity_used_ratio",
-            "Expected wait of the next frame, as a share of that from which frames are refused.")
+            "Expected wait of the next frame, divided by the wait at which frames are refused.")
         self._build = gauge(
             "pose_build_info", "Always 1; the labels say which build serves, and how it is set.",
             ["version", "revision", "concurrency", "max_wait_s", "request_timeout_s"])
