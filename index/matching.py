@@ -37,8 +37,8 @@ k are requested."""
 MIN_NEW_POSE_M = 0.055
 """Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
 
-# If a batch of this many times the number requested adds nothing, it is the last: few distinct
-# poses may fit a hardly visible person, and a search for 50 took seconds.
+# Stop once a batch of this many times the requested number adds no new pose: only a few poses may
+# fit a hardly visible person, and searching for 50 took seconds.
 _MAX_BATCH_GROWTH = 4
 
 SPARE_MODES = 4

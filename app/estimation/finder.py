@@ -80,8 +80,8 @@ Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 _MARKED: tuple[Source, ...] = ("boxes", "mask")
 """Sources in which the caller marks the people."""
 
-# Share of the possible people beside others that are people if a reading beside these shows a body,
-# in rendered groups.
+# In rendered groups, the share of possible people beside others who are real, given that a separate
+# reading shows another body.
 _READ_BESIDE_SCORE = 0.8
 # Share of a job's time in which people are read: their masks and poses take as long again.
 _READ_UNTIL = 0.4

@@ -28,10 +28,10 @@ from app.vision.tflite import NetworkError
 class Trust:
     """How far to trust a reading."""
 
-    # Probability that the window shows a person, 0 to 1, if before looking it is as likely as not.
+    # Probability that the window shows a person, for prior odds of 1:1.
     person: float
-    # Probability that it does and that at least three in four of the visible limb joints are within
-    # a fifth of the trunk of their true places, 0 to 1, of windows as in training.
+    # Probability that it does and that at least three quarters of the visible limb joints lie
+    # within a fifth of the trunk of their true places, for windows like those in training.
     right: float
 
 
