@@ -128,6 +128,10 @@ def test_cameras_are_rotations_that_look_at_a_target(seed: int) -> None:
     # Of frames that stand, the longer side is as wide as others are across.
     widest = np.rad2deg(2 * np.arctan(1 / camera.focal))
     assert 39.9 < widest < 110.1 and camera.fov_deg <= widest + 1e-9
+    # A camera below its target has a negative elevation.
+    above = np.deg2rad(camera.elevation_deg(target))
+    apart = np.linalg.norm(camera.place - target)
+    assert camera.place[1] - target[1] == pytest.approx(apart * np.sin(above))
 
 
 @given(SEEDS)
