@@ -73,6 +73,7 @@ class WindowRows(Rows):
     landmarks. Windows ``(N, 4)`` are x, y, side, and roll in degrees. Focal, centre and frame are
     as in :class:`scripts.training.render.scene.Photograph`. The posture is -1 where nobody is.
     Landmarks ``(N, 33, 3)`` are metres in camera axes, places ``(N, 33, 2)`` pixels, shown or not.
+    The elevation is the camera's, as seen from the subject.
     """
 
     scene: NDArray[np.int64]
