@@ -19,7 +19,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import frame_shares
 from app.estimation.results import Person
 from app.tracking.filtering import MAX_STEP_S, LowPass
 from app.vision.geometry import Box
@@ -77,28 +76,17 @@ class Observation:
     covered: float = 0.0
 
     @classmethod
-    def of(
-        cls,
-        person: Person,
-        frame_shape: tuple[int, ...],
-        covered: float,
-        shares: NDArray[np.float64],
-        confidence: float,
-    ) -> Self:
-        """What a frame shows of a person.
-
-        Without landmarks, the posture is that of the hypotheses, whose shares ``(10,)`` are given,
-        and landmarks count as right with the confidence of the smooth pose.
-        """
-        posture, trust, landmarks = person.frame_posture, person.trust, person.landmarks
-        if posture is None or trust is None or landmarks is None:
-            return cls(person.box, frame_shape, frame_shares(shares), confidence, covered=covered)
+    def of(cls, person: Person, frame_shape: tuple[int, ...], covered: float = 0.0) -> Self:
+        """What a frame shows of a person whose landmarks and posture were read."""
+        if person.frame_posture is None or person.landmarks is None:
+            raise ValueError("expected a person with landmarks and the posture of the frame")
+        presence = 1.0 if person.presence is None else person.presence
         return cls(
             person.box,
             frame_shape,
-            trust.person * posture.probabilities,
-            trust.right,
-            float(landmarks.positions[_HIPS, 1].mean()),
+            presence * np.asarray(person.frame_posture.probabilities),
+            1.0 if person.trust is None else person.trust.right,
+            float(person.landmarks.positions[_HIPS, 1].mean()),
             covered,
         )
 

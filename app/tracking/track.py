@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from app.estimation.posture import (
     EstimatedPosture,
     PostureFilter,
+    frame_shares,
     with_upright_votes,
 )
 from app.estimation.results import Facing, FacingSource, Person
@@ -180,7 +181,7 @@ class Track:
             timestamp,
             shares,
             _reliability(person, confidence),
-            Observation.of(person, frame.shape, covered, shares, confidence),
+            _observation(person, shares, confidence, frame.shape, covered),
             rests=is_rest(self._zone_watch.zones),
         )
         tracked = self._tracked(person, pose, timestamp)
@@ -330,6 +331,25 @@ def _weight(person: Person) -> float:
 def _reliability(person: Person, confidence: float) -> float:
     """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
     return confidence if person.presence is None else _weight(person) * person.presence
+
+
+def _observation(
+    person: Person,
+    shares: NDArray[np.float64],
+    confidence: float,
+    frame_shape: tuple[int, ...],
+    covered: float,
+) -> Observation:
+    """The input of the fall model from one frame, with landmarks if any were read.
+
+    Without landmarks, the posture is that of the hypotheses, whose shares ``(10,)`` are given, and
+    the confidence is that of the smooth pose.
+    """
+    if person.frame_posture is None or person.landmarks is None:
+        return Observation(
+            person.box, frame_shape, frame_shares(shares), confidence, covered=covered
+        )
+    return Observation.of(person, frame_shape, covered)
 
 
 # Least probability that two sightings are the same person. In pairs of held-out films, one person

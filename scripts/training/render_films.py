@@ -26,7 +26,6 @@ from app.tracking.falls import Observation
 from app.tracking.results import TrackedPerson
 from app.vision.geometry import Box
 from app.vision.people import landmark_rows
-from index.posture import POSTURES
 from scripts.helpers import encoded
 from scripts.results import ROOT
 from scripts.training.identity_pairs import Pairs, recorded_pairs
@@ -103,8 +102,7 @@ def _observation(
     """The input of the model of falls for a person, as in a session."""
     others = [one for one in persons if one is not person and one.source != "track"]
     covered = max((one.box.intersection(person.box) / person.box.area for one in others), default=0)
-    # The person has landmarks, so that hypotheses do not count.
-    return Observation.of(person, shape, covered, np.zeros(len(POSTURES)), 0.0)
+    return Observation.of(person, shape, covered)
 
 
 def _answer(person: TrackedPerson) -> NDArray[np.float64]:

@@ -25,7 +25,6 @@ from app.vision.geometry import Box
 from app.vision.judgement import FramePosture, Trust
 from app.vision.odds import logit
 from app.vision.people import Landmarks
-from index.posture import vote_posture
 
 TRACKS = Path(__file__).parents[2] / "data" / "fall_tracks.npz"
 """Held-out tracks that ``python -m scripts train-falls --examples`` wrote, 15 frames a second."""
@@ -153,13 +152,11 @@ def test_postures_of_a_doubtful_person_count_less() -> None:
         landmarks=Landmarks(points, np.ones(33), np.zeros((33, 3))),
         frame_posture=FramePosture(STANDS),
     )  # fmt: skip
-    shares = vote_posture(["lying"], [1.0])
-    row = Observation.of(person, FRAME, 0.3, shares, 0.6).row()
+    row = Observation.of(person, FRAME, 0.3).row()
     assert row[5:11] == pytest.approx(0.4 * STANDS)
     assert (row[4], row[11], row[12]) == (50, 0.2, 0.3)
-    without = Observation.of(Person(UPRIGHT, "detector", 0.9), FRAME, 0.3, shares, 0.6).row()
-    assert without[5:11] == pytest.approx(LIES)
-    assert (without[11], without[12]) == (0.6, 0.3)
+    with pytest.raises(ValueError, match="expected a person with landmarks"):
+        Observation.of(Person(UPRIGHT, "detector", 0.9), FRAME)
 
 
 @pytest.fixture(scope="module")
