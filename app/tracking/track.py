@@ -296,7 +296,8 @@ class Track:
     def _tracked(
         self, person: Person, pose: SmoothedPose | None, timestamp: float
     ) -> TrackedPerson:
-        assert self.track_id is not None, "only a confirmed track has results"
+        if self.track_id is None:
+            raise ValueError("expected a confirmed track")
         still_s = timestamp - self._still_from if self._still is not None else 0.0
         known = {"facing": self._facing, "posture": self._posture}
         if timestamp - self._body_at > EXTRAPOLATED_S:

@@ -29,15 +29,15 @@ PEOPLE, HELD_OUT_PEOPLE = 60, 16
 """Bodies in the training and in the held-out part."""
 
 EMPTY_SHARE = 1 / 7
+BARE_SHARE = 0.5
+"""Share of the pictures without people whose window lies anywhere, not about the thing in it."""
+
 HEAD_FIRST = 0.35
 """Share of the people who lie whose head points to the camera: few landmarks are read right then.
 """
 
 UNRECORDED, FALLEN = 0.3, 0.3
 """Shares: of people in poses that no clip shows; of those who lie, of simulated falls."""
-
-BARE_SHARE = 0.5
-"""Share of the pictures without people whose window lies anywhere, not about the thing in it."""
 
 
 def first_window(photograph: Photograph, generator: np.random.Generator) -> PersonWindow:

@@ -230,7 +230,7 @@ def test_a_person_who_is_lost_behind_another_one_is_not_reported_as_fallen() -> 
 
 
 def test_only_a_confirmed_track_has_results() -> None:
-    with pytest.raises(AssertionError, match="only a confirmed track"):
+    with pytest.raises(ValueError, match="expected a confirmed track"):
         track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1, frame=FRAME)
 
 
