@@ -89,7 +89,11 @@ def test_other_votes_divide_only_those_who_are_upright(
     assert share(divided, *UPRIGHT) == pytest.approx(share(shares, *UPRIGHT))
     low = [name for name in POSTURES if name not in UPRIGHT]
     assert [share(divided, name) for name in low] == [share(shares, name) for name in low]
-    if share(votes, "walking") > share(votes, "standing"):
+    ahead = share(votes, "walking") - share(votes, "standing")
+    if ahead > 0:
+        assert share(divided, "walking") >= share(divided, "standing")
+    # A difference in the last digit of the votes may be lost in the division.
+    if ahead > 1e-12:
         assert share(divided, "walking") > share(divided, "standing")
 
 
