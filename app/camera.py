@@ -97,7 +97,7 @@ class CameraSession:
         self._rectification: Rectification | None = None
         self._asked: tuple[int, Optics] | None = None
         """Hypotheses and optics for which people were estimated."""
-        self._timestamp = -math.inf
+        self._timestamp = self._watched_from = -math.inf
         self._arrived = 0.0
         self._empty: _EmptyScene | None = None
         # Events not reported yet, since a frame may fail half-way.
@@ -249,6 +249,7 @@ class CameraSession:
         before, self._rectification = self._rectification, now
         gap = timestamp - self._timestamp
         if before is None:
+            self._watched_from = timestamp
             return
         if before.square != now.square:
             (height, width), (rows, columns) = before.square, now.square
@@ -261,7 +262,7 @@ class CameraSession:
             reason = f"the timestamps went back by {-gap:.1f} s"
         else:
             return
-        self._reset = reason
+        self._reset, self._watched_from = reason, timestamp
         self._detector = TrackedPeopleDetector(self._estimator.finder)
         for track in self._tracks:
             self._events += track.end(timestamp)
@@ -325,7 +326,7 @@ class CameraSession:
         """Begin the track of a new person; None if there are too many tracks."""
         if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
             return None
-        track = Track(person, timestamp)
+        track = Track(person, timestamp, self._watched_from)
         self._tracks.append(track)
         return track
 

@@ -246,21 +246,26 @@ def read_marks(file: Path = ROOT / "tests" / "data" / "vtest-people.json") -> li
     ]
 
 
+FILM_KINDS = ("fall", "out_of_bed", "in_bed", "daily", "ordinary")
+"""What films are a test of. In films of streets, squares and offices nobody falls or lies."""
+
+
 @dataclass(frozen=True)
-class HomeFilm:
-    """A film of ``real/homes`` and what its labels say.
+class Film:
+    """A film of ``../shared/real`` and what its labels say.
 
     Classes are activities, each from and to a second; ``fall`` is the second at which one begins.
-    The crop is the part of the frame that shows the scene: left, top, width, height as shares.
+    The crop is the part of the frame that shows the scene: left, top, width, height as shares. The
+    kind is one of :data:`FILM_KINDS`; None for people who crawl or lie from the beginning.
     """
 
     name: str
     source: str
-    about: str
     path: Path
-    classes: list[tuple[str, float, float]]
-    fall: float | None
-    crop: tuple[float, float, float, float]
+    kind: str | None
+    fall: float | None = None
+    classes: tuple[tuple[str, float, float], ...] = ()
+    crop: tuple[float, float, float, float] = (0, 0, 1, 1)
 
     def frames(self, per_second: float) -> Iterator[tuple[float, NDArray[np.uint8]]]:
         """Frames at a rate, cropped, each with its time in seconds."""
@@ -281,32 +286,54 @@ class HomeFilm:
         return known.pop() if len(known) == 1 else None
 
 
-def home_films(real: Path) -> Iterator[HomeFilm]:
+def real_films(real: Path) -> Iterator[Film]:
+    """All films of falls, daily life and ordinary cameras: the development set."""
+    yield from home_films(real)
+    for folder in ("scenes", "scenes2"):
+        for name, about in sorted(_read(real / folder / "truth.json").items()):
+            bed = about["source"].startswith("T2V")
+            kind = {("fall", True): "out_of_bed", ("daily", True): "in_bed"}.get(
+                (about["kind"], bed), about["kind"]
+            )
+            yield Film(name, folder, real / folder / name, kind, about["at"])
+    for path in sorted((real / "urfd").glob("fall-*.mp4")):
+        yield Film(path.name, "urfd", path, "fall", 0.0)
+    for path in sorted((real / "upfall").glob("*.mp4")):
+        activity = int(path.name.split("_")[0].removeprefix("activity"))
+        falls = activity <= 5
+        if activity < 11:  # The last one lies down.
+            kind = "fall" if falls else "daily"
+            yield Film(path.name, "upfall", path, kind, 0.0 if falls else None)
+    for name, fall in (("video_3", 3.7), ("video_5", 5.6)):
+        yield Film(name, "falls", real / "falls" / f"{name}.mp4", "fall", fall)
+    yield Film("vtest", "vtest", real / "vtest" / "vtest.avi", "ordinary")
+
+
+def home_films(real: Path) -> Iterator[Film]:
     """Films of homes, in the order of their names."""
     sources = {"gmdcsa": "GMDCSA24", "assist": "ASSIST-IoT", "t2vbed": "T2V-Bed-Fall"}
-    for name, about in sorted(json.loads((real / "homes" / "labels.json").read_text()).items()):
+    for name, about in sorted(_read(real / "homes" / "labels.json").items()):
         classes, fall = [tuple(row) for row in about["classes"]], about["fall"]
+        described, bed = about["description"], "t2vbed" in name
         if not classes and "_roll_" in name:
             classes = [("Sleeping", -1.0, 9.0)]
         if not classes and ("walking" in name or "jogging" in name):
             classes = [("Walking", 0.5, 99.0)]
         if "imm_stomach" in name:
             classes = [("Sleeping", -1.0, 99.0)]
-        if "t2vbed" in name and fall is not None:
+        if bed and fall is not None:
             # On the ground from two seconds after the fall begins.
             classes = [("Sleeping", fall + 1.7, 99.0)]
-        yield HomeFilm(
-            name, sources.get(name.split("_")[0], "phones"), about["description"],
-            real / "homes" / name, classes, fall, tuple(about.get("crop", (0, 0, 1, 1))),
-        )  # fmt: skip
-
-
-def ordinary_films(real: Path) -> Iterator[Path]:
-    """Films of ``real/scenes`` of ordinary cameras, in the order of their names."""
-    folder = real / "scenes"
-    for name, about in sorted(_read(folder / "truth.json").items()):
-        if about["kind"] == "ordinary":
-            yield folder / name
+        kind: str | None = "daily"
+        if fall is not None:
+            kind = "out_of_bed" if bed else "fall"
+        elif bed or "laying" in described:
+            kind = "in_bed"
+        elif "crawl" in described or "imm" in described:
+            kind = None
+        source = sources.get(name.split("_")[0], "phones")
+        crop = tuple(about.get("crop", (0, 0, 1, 1)))
+        yield Film(name, source, real / "homes" / name, kind, fall, tuple(classes), crop)
 
 
 def _read(file: Path) -> Any:

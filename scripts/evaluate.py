@@ -5,8 +5,7 @@
     python -m scripts evaluate real         photographs and videos of ../shared/real
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
-    python -m scripts evaluate homes        films of homes as camera sessions, by source
-    python -m scripts evaluate ordinary     films in which nobody falls: alarms an hour
+    python -m scripts evaluate films        all real films as camera sessions: falls, false alarms
     python -m scripts evaluate background   people as differences from a picture of the empty scene
     python -m scripts evaluate tiles        small people, with and without POSE_MIN_PERSON_PX
     python -m scripts evaluate actions      actions, postures and falls of tracks
@@ -30,8 +29,7 @@ EXPERIMENTS = {
     "real": "real",
     "people": "people",
     "photographs": "photographs",
-    "homes": "homes",
-    "ordinary": "ordinary",
+    "films": "films",
     "background": "background",
     "tiles": "tiles",
     "actions": "actions",

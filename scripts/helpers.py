@@ -35,9 +35,14 @@ def estimate(
     return estimator.estimate(upload, DEFAULT_HYPOTHESES, Job()).persons
 
 
-def track(session: CameraSession, frame: NDArray[np.uint8], timestamp: float) -> TrackedFrame:
+def track(
+    session: CameraSession,
+    frame: NDArray[np.uint8],
+    timestamp: float,
+    n: int = DEFAULT_HYPOTHESES,
+) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
-    return session.process(Upload(encoded(frame)), timestamp, DEFAULT_HYPOTHESES, Job())
+    return session.process(Upload(encoded(frame)), timestamp, n, Job())
 
 
 def encoded(frame: NDArray[np.uint8]) -> bytes:

@@ -6,6 +6,7 @@ Lying and raised arms follow from filtered postures, falls from a model
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import numpy as np
@@ -20,16 +21,17 @@ from index.posture import POSTURES
 class EventDetector:
     """Watches the postures of one track, and whether the person falls.
 
-    Its events have no ``track_id``, which the track sets.
+    Its events have no ``track_id``, which the track sets. ``watched_from`` is that of
+    :class:`app.tracking.falls.FallWatch`.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, watched_from: float = math.inf) -> None:
         self._last_at: float | None = None
         self._states: dict[Literal["arms_raised", "lying"], Hysteresis] = {
             "arms_raised": Hysteresis(),
             "lying": Hysteresis(),
         }
-        self._falls = FallWatch()
+        self._falls = FallWatch(watched_from)
         self._rests = False
 
     def update(

@@ -1,14 +1,16 @@
 """The probability that a person fell within the last seconds, from what their track showed.
 
-A few small networks see three seconds of boxes, postures and gaps to the border, resampled to a
-fixed grid, so that they work at any frame rate. They were trained on simulated tracks and rendered
-films by ``python -m scripts train-falls``. Lengths are in sizes of the body in the picture, and
-left and right are not distinguished, so that neither the frame's size nor mirroring it changes
-anything.
+A few small networks see ten seconds of boxes, postures and gaps to the border, resampled to a
+fixed grid, so that they work at any frame rate. The grid is dense in the last second and ever wider
+before it: the networks see a quick fall in detail, and remember a slow one while the person lies.
+They were trained on simulated tracks and rendered films by ``python -m scripts train-falls``.
+Lengths are in sizes of the body in the picture, and left and right are not distinguished, so that
+neither the frame's size nor mirroring it changes anything.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from functools import lru_cache
@@ -29,18 +31,19 @@ from app.vision.truncation import gaps_to_border
 
 MODEL = Path(__file__).parent / "models" / "falls.npz"
 
-WINDOW_S = 3.0
-"""Time before a frame that the networks see."""
+GRID_S = np.array(
+    [10, 8.5, 7.2, 6.2, 5.4, 4.6, 3.8, 3.2, 2.6, 2.2, 1.8, 1.4, 1.0, 0.8, 0.6, 0.4, 0.2, 0]
+)  # fmt: skip
+"""Seconds before a frame that the networks see, oldest first."""
 
-GRID_S = 0.2
-"""Time between two points of the grid."""
+WINDOW_S, POINTS = float(GRID_S[0]), len(GRID_S)
 
-POINTS = round(WINDOW_S / GRID_S)
-"""Points of the grid."""
+# Frames closer together than this show the networks nothing more.
+_MIN_STEP_S = 0.05
 
 _HIPS = landmark_rows("hip")
 _POSTURES = len(FRAME_POSTURES)
-COLUMNS = 13 + _POSTURES
+COLUMNS = 14 + _POSTURES
 """Inputs at each point; :func:`window_features` says which."""
 
 # Distances beyond so many body sizes, and gaps to the border beyond one, say no more.
@@ -100,16 +103,21 @@ class Observation:
 
 
 def window_features(
-    times: NDArray[np.float64], rows: NDArray[np.float64], now: float
+    times: NDArray[np.float64],
+    rows: NDArray[np.float64],
+    now: float,
+    watched_from: float = math.inf,
 ) -> NDArray[np.float32]:
     """Inputs ``(D,)`` of the network at a time, from rows ``(K, 17)``, oldest first.
+
+    The camera is watched from ``watched_from`` on, at the latest from the first row.
 
     At each point of the grid: the top, the bottom and the hips relative to those of the last row,
     the horizontal distance from its middle, width and height, six postures, right, covered, the
     gaps to the nearer side, the upper and the lower border, whether the person was still seen at
-    that time, and whether the track had begun.
+    that time, whether the track had begun, and whether the camera was watched.
     """
-    grid = now + GRID_S * np.arange(1 - POINTS, 1)
+    grid = now - GRID_S
     right = np.clip(np.searchsorted(times, grid), 1, max(len(times) - 1, 1))
     if len(times) == 1:
         at = np.repeat(rows, POINTS, axis=0)
@@ -133,7 +141,8 @@ def window_features(
             at[:, 6 + _POSTURES : 7 + _POSTURES],
             np.clip(gaps / size, 0, 1),
             (grid <= times[-1] + 1e-3)[:, None],
-            (grid >= times[0] - GRID_S / 2)[:, None],
+            (grid >= times[0] - 0.1)[:, None],
+            (grid >= min(watched_from, times[0]) - 0.1)[:, None],
         ],
         axis=1,
     )
@@ -148,7 +157,7 @@ _STRIDES = (1, 2)
 class FallModel:
     """The mean of a few networks with two convolutions over time and a hidden layer.
 
-    Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, 8 G, K)`` and ``(N, K, 2)`` of ``N``
+    Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, 9 G, K)`` and ``(N, K, 2)`` of ``N``
     networks and ``D`` inputs at each point of the grid; offsets ``(N, H)``, ``(N, G)``, ``(N, K)``
     and ``(N, 2)``. The answers of single networks differ by chance, the more so the less a track
     shows.
@@ -267,9 +276,17 @@ class FallReport:
 
 
 class FallWatch:
-    """Watches one track for falls."""
+    """Watches one track for falls.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    watched_from : float
+        Time from which the camera is watched, seconds: whoever appears later was not always there.
+        By default the camera is watched from the first frame of the track.
+    """
+
+    def __init__(self, watched_from: float = math.inf) -> None:
+        self._watched_from = watched_from
         self._seen: deque[tuple[float, NDArray[np.float64]]] = deque()
         self.report = FallReport()
         self.probability = 0.0
@@ -288,7 +305,7 @@ class FallWatch:
 
     def _add(self, timestamp: float, row: NDArray[np.float64]) -> None:
         """Keep what a frame shows, and forget what the network does not see or need."""
-        if len(self._seen) > 1 and timestamp - self._seen[-2][0] < GRID_S / 4:
+        if len(self._seen) > 1 and timestamp - self._seen[-2][0] < _MIN_STEP_S:
             self._seen.pop()
         self._seen.append((timestamp, row))
         # The newest of those too old stays: the first point of the grid lies behind it.
@@ -305,6 +322,6 @@ class FallWatch:
     def _probabilities(self, timestamp: float) -> tuple[float, float]:
         times = np.array([time for time, _ in self._seen])
         rows = np.array([row for _, row in self._seen])
-        features = window_features(times, rows, timestamp)
+        features = window_features(times, rows, timestamp, self._watched_from)
         fell, up = shipped_model().probabilities(features).tolist()
         return fell, up

@@ -56,9 +56,10 @@ class Track:
 
     For each frame that shows the person, :meth:`see` adds the place. Once the track is confirmed,
     :meth:`update` adds the poses, also for a frame in which the person is hidden and has no pose.
+    ``watched_from`` is that of :class:`app.tracking.falls.FallWatch`.
     """
 
-    def __init__(self, person: Person, timestamp: float) -> None:
+    def __init__(self, person: Person, timestamp: float, watched_from: float = math.inf) -> None:
         self.track_id: int | None = None
         """None until the track is confirmed."""
         self.caller_id: str | None = None
@@ -85,7 +86,7 @@ class Track:
         self.colours = person.colours
         self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
         self._recogniser = ActionRecogniser()
-        self._event_detector = EventDetector()
+        self._event_detector = EventDetector(watched_from)
         self._zone_watch = ZoneWatch()
         self._posture_filter = PostureFilter()
         self._body_at = -math.inf

@@ -32,6 +32,9 @@ STEPS = (1, 1, 2, 2, 3, 3, 3, 4, 5, 7)
 LOST_AFTER_S = (0.5, 2.0)
 """Time after which a session lets a person go: at the frame's border, and elsewhere."""
 
+_WATCHED_BEFORE, _UNSEEN = 0.4, 0.2
+"""Shares of scenes watched before anybody comes, and of people who are not found from the start."""
+
 _NEIGHBOURS = 8
 # Chance of a neighbour of the same film against one of another.
 _SAME_FILM = 12.0
@@ -147,7 +150,8 @@ class Track:
 
     ``falls``, ``down`` are the seconds of the person's fall, ``up`` ``(K,)`` whether the trunk was
     up. ``lost_at`` is when the session let the person go; None if the film ended before. ``alone``
-    says whether nobody else was seen in the person's place then.
+    says whether nobody else was seen in the person's place then. The camera is ``watched_from`` a
+    time on.
     """
 
     times: NDArray[np.float64]
@@ -157,6 +161,7 @@ class Track:
     up: NDArray[np.bool_]
     lost_at: float | None
     alone: bool
+    watched_from: float
 
 
 @dataclass(frozen=True)
@@ -329,12 +334,18 @@ def tracks_of(scene: Scene, library: Library, eyes: Eyes, generator: Generator) 
     _cover(observed)
     _exchange(observed, generator)
     tracks: list[Track] = []
+    watched_from = float(times[0])
+    if generator.random() < _WATCHED_BEFORE:
+        watched_from -= float(generator.exponential(8.0))
     for who in range(people):
+        if generator.random() < _UNSEEN:
+            observed[who, : int(generator.integers(count))] = np.nan
         motion = scene.motion[who]
         up = library.up[motion][np.minimum(frames, library.up.shape[1] - 1)]
         tracks += _tracks(
-            observed, who, times, (library.falls[motion], library.down[motion]), up, generator
-        )
+            observed, who, times, (library.falls[motion], library.down[motion]), up, watched_from,
+            generator,
+        )  # fmt: skip
     return tracks
 
 
@@ -374,6 +385,7 @@ def _tracks(
     times: NDArray[np.float64],
     fall: tuple[float, float],
     up: NDArray[np.bool_],
+    watched_from: float,
     generator: Generator,
 ) -> Iterator[Track]:
     """Cut a person's observations where the session lets the person go."""
@@ -406,4 +418,4 @@ def _tracks(
             )
             meets[who] = False
             alone = not meets.any()
-        yield Track(times[part], rows[part], *fall, up[part], lost_at, alone)
+        yield Track(times[part], rows[part], *fall, up[part], lost_at, alone, watched_from)

@@ -30,7 +30,7 @@ def film_tracks(folder: Path) -> Iterator[Track]:
             lost_at = next((float(row[1]) for row in left if row[0] == identity), None)
             alone = lost_at is None or not _meets(tracks, own, lost_at)
             is_up = np.array([up.get((int(row[0]), person), False) for row in own], bool)
-            yield Track(own[:, 0] / RATE, own[:, 3:], falls, down, is_up, lost_at, alone)
+            yield Track(own[:, 0] / RATE, own[:, 3:], falls, down, is_up, lost_at, alone, 0.0)
 
 
 def _with_trunks(rows: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -17,7 +17,13 @@ from scripts.training.motions import Motion, Motions
 RATE = 15
 """Frames a second that are kept."""
 
-COUNTS = {"fall": (1000, 160), "daily": (800, 160), "recorded": (600, 120), "drop": (40, 8)}
+SECONDS = 14
+"""Length of a motion: whoever fell lies for a while."""
+
+COUNTS = {
+    "fall": (360, 60), "collapse": (300, 50), "daily": (600, 120), "recorded": (400, 80),
+    "acrobatics": (60, 12), "drop": (20, 6),
+}  # fmt: skip
 """Motions by kind, of training and of held-out subjects."""
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
@@ -36,7 +42,7 @@ def trunk_is_up(joints: NDArray[np.floating], heights: NDArray[np.floating]) -> 
 
 @dataclass(frozen=True)
 class Library:
-    """Joints ``(M, F, 24, 3)`` in the world, y up; eight seconds each, the last frame held.
+    """Joints ``(M, F, 24, 3)`` in the world, y up; 14 seconds each, the last frame held.
 
     ``falls`` and ``down`` ``(M,)`` are the seconds at which a fall begins and the body is on the
     ground, infinite where nobody falls; ``up`` ``(M, F)`` says whether the trunk is up.
@@ -60,12 +66,16 @@ class Library:
                 while one is None:
                     if kind in ("fall", "drop"):
                         one = motions.fall(generator, "drop" if kind == "drop" else None)
+                    elif kind == "collapse":
+                        one = motions.collapse(generator)
                     elif kind == "daily":
                         one = motions.daily(generator)
                     else:
-                        one = motions.recorded(generator, walks=number % 2 == 0)
+                        acrobatics = kind == "acrobatics"
+                        walks = number % 2 == 0 and not acrobatics
+                        one = motions.recorded(generator, walks=walks, acrobatics=acrobatics)
                 made.append(one)
-        frames = 8 * RATE
+        frames = SECONDS * RATE
         joints = np.empty((len(made), frames, 24, 3), np.float32)
         for row, one in enumerate(made):
             own = one.joints(avatar)[::2]

@@ -31,7 +31,12 @@ from index.build.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
 from scripts.training.render.makers import ACTIVITY_POSES, use_hands
 from scripts.training.render.pose import Pose, places_of
-from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, class_of, classes_of
+from scripts.training.render.posing import (
+    HELD_OUT_SUBJECTS,
+    PoseSource,
+    class_of,
+    classes_of,
+)
 
 Support = Literal["seat", "bed"]
 
@@ -39,7 +44,8 @@ FILM_S = 8.0
 """Length of a motion; falls begin after three to four seconds."""
 
 WALKS = ("walk", "run")
-_ACROBATICS = ("breakdance", "cartwheel", "flip", "roll", "fall", "duck", "climb", "lie", "get-up")
+_ACROBATICS = ("breakdance", "cartwheel", "flip", "roll", "duck", "climb")
+_LOW = ("fall", "lie", "get-up")
 
 _Step = tuple[str, float, float]
 """A posture or one of :data:`ACTIVITY_POSES`, and between how many seconds it is reached."""
@@ -53,10 +59,6 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
     "in-bed": ("bed", (("lying", 1, 4), ("lying", 1, 3), ("lying", 1, 3))),
     "sits-up-in-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 3), ("lying", 1, 3))),
     "leaves-bed": ("bed", (("lying", 2, 3), ("sitting", 1, 2), ("standing", 1, 2))),
-    "lies-on-floor": (
-        None,
-        (("standing", 1, 2), ("crouching", 0.8, 1.6), ("all_fours", 0.8, 1.5), ("lying", 1, 2.5)),
-    ),
     "gets-up": (None, (("lying", 2, 3), ("all_fours", 1, 2), ("standing", 1, 2.5))),
     "ties-shoes": (
         None,
@@ -112,16 +114,52 @@ DAILY: dict[str, tuple[Support | None, tuple[_Step, ...]]] = {
         None,
         (("standing", 1, 2), ("crouching", 0.6, 1.2), ("sitting", 0.6, 1.5), ("sitting", 1, 3)),
     ),
+    "looks-under": (
+        None,
+        (
+            ("standing", 1, 2),
+            ("crouching", 0.6, 1.5),
+            ("all_fours", 0.5, 1.2),
+            ("prostrate", 0.5, 1.2),
+            ("prostrate", 0.8, 2.5),
+            ("all_fours", 0.6, 1.5),
+        ),
+    ),
     "exercises": (
         None,
         (("standing", 1, 2), ("crouching", 0.5, 1), ("standing", 0.4, 1), ("crouching", 0.4, 1)),
     ),
     "push-ups": (
         None,
-        (("all_fours", 1, 2), ("lying", 0.8, 1.5), ("all_fours", 0.5, 1), ("lying", 0.5, 1)),
+        (
+            ("standing", 1, 2),
+            ("crouching", 0.4, 1),
+            ("all_fours", 0.4, 1),
+            *[("lying", 0.4, 1), ("all_fours", 0.4, 1)] * 3,
+        ),
     ),
 }
 """Daily life from pose to pose, and what carries those who sit and lie."""
+
+COLLAPSES: dict[str, tuple[_Step, ...]] = {
+    "knees": (("on-heels", 0.3, 1.2), ("all_fours", 0.3, 1.2), ("lying", 0.4, 1.5)),
+    "hands": (("bending", 0.3, 1.0), ("all_fours", 0.3, 1.2), ("lying", 0.4, 1.5)),
+    "seat": (("crouching", 0.2, 0.8), ("sitting", 0.3, 1.2), ("lying", 0.4, 1.5)),
+    "crouch": (("crouching", 0.3, 1.5), ("lying", 0.4, 1.5)),
+    "furniture": (
+        ("bending", 0.4, 1.5),
+        ("crouching", 0.4, 1.5),
+        ("sitting", 0.3, 1.0),
+        ("lying", 0.5, 1.5),
+    ),
+}
+"""Ways to the ground that are not simulated: people give way in stages, and lie still."""
+
+_STAYS = 0.25
+"""Share of the stages in which somebody who gives way stays for a moment."""
+
+_LYING_POSES = 60
+"""Simulated falls that show how those lie; each takes seconds."""
 
 _REACHES = {"on-floor": 0.9}
 """How far the hands turn in activities that go on, radians; 0.2 in others."""
@@ -204,14 +242,22 @@ class Motions:
         return cls(source, segments, {clip.name: clip for clip in poses.clips}, avatar)
 
     def recorded(
-        self, generator: Generator, *, walks: bool = False, seconds: float = FILM_S
+        self,
+        generator: Generator,
+        *,
+        walks: bool = False,
+        acrobatics: bool = False,
+        seconds: float = FILM_S,
     ) -> Motion:
         """Motion of one clip; walks and runs go on as long as needed."""
         wanted = [
             one for one in self.segments
-            if (one.action in WALKS if walks else one.action not in (*_ACROBATICS, "sit"))
+            if (one.action in _ACROBATICS if acrobatics else one.action in WALKS if walks
+                else one.action not in (*_ACROBATICS, *_LOW, "sit"))
             and one.end - one.start >= FPS
         ]  # fmt: skip
+        if not wanted:  # Few subjects do acrobatics.
+            return self.recorded(generator, seconds=seconds)
         segment = wanted[generator.integers(len(wanted))]
         clip = self.clips[segment.clip]
         frames = np.arange(segment.start, segment.end)
@@ -286,6 +332,16 @@ class Motions:
             use_hands(poses[-1], _REACHES.get(name, 0.2), generator)
         return poses
 
+    def _giving_way(self, name: str, clip: Clip, generator: Generator) -> Pose:
+        """Draw a pose for the bones of a clip; who lies on the ground lies as after a fall."""
+        while True:
+            if name == "lying":
+                pose = self.poses.fallen_pose(int(generator.integers(_LYING_POSES)), generator)
+            else:
+                pose = self._poses_of([(name, 0, 0)], [False], generator)[0]
+            if pose.clip.bones == clip.bones:
+                return pose
+
     def _of_class(self, name: str, generator: Generator) -> Pose:
         """Draw a pose whose joints show the class; the last of many if none does."""
         for _ in range(40):
@@ -348,6 +404,41 @@ class Motions:
         down = begun + fall.down
         return Motion(f"fall-{kind}", clip, rotations, positions, begun, down, support)
 
+    def collapse(self, generator: Generator, kind: str | None = None) -> Motion:
+        """Somebody who stands or walks sinks to the ground in stages, and lies there."""
+        kind = kind or str(generator.choice(list(COLLAPSES)))
+        before = self.recorded(
+            generator, walks=bool(generator.random() < 0.6), seconds=generator.uniform(2.5, 4.0)
+        )
+        clip, begun = before.clip, len(before.rotations)
+        steps = list(COLLAPSES[kind])
+        if generator.random() < 0.4:
+            steps.append(("lying", 0.5, 2.0))  # Who lies turns over.
+        poses = [self._giving_way(name, clip, generator) for name, *_ in steps]
+        heading = float(facing_yaw(before.rotations[-1:, 0])[0])
+        keys, times, lies = [before.rotations[-1]], [0.0], list[float]()
+        for pose, (name, low, high) in zip(poses, steps, strict=True):
+            heading += generator.normal(0, 0.4)
+            keys.append(about_vertical(np.array([heading]))[0] @ pose.rotations)
+            times.append(times[-1] + generator.uniform(low, high))
+            if name == "lying":
+                lies.append(times[-1])
+            elif generator.random() < _STAYS:
+                keys.append(keys[-1])
+                times.append(times[-1] + generator.uniform(0.2, 1.5))
+        frames = np.arange(1, round((times[-1] + 1.0) * FPS)) / FPS
+        heights = np.zeros(len(keys))  # The ground carries the body in every frame.
+        rotations, _ = _between(np.array(keys), heights, np.array(times), frames)
+        shift = np.cumsum(generator.normal(0, 0.01, (len(frames), 2)), axis=0)
+        positions = before.positions[-1] + np.stack(
+            [shift[:, 0], np.zeros(len(frames)), shift[:, 1]], axis=1
+        )
+        return Motion(
+            f"collapse-{kind}", clip, np.concatenate([before.rotations, rotations]),
+            np.concatenate([before.positions, positions]), begun, begun + round(lies[0] * FPS),
+            grounded=True,
+        )  # fmt: skip
+
 
 def _from_origin(
     rotations: NDArray[np.float64], positions: NDArray[np.float64]
@@ -387,15 +478,23 @@ def _between(
     return np.stack(turned, axis=1), np.interp(eased, times, heights)
 
 
+COLLAPSING = 0.4
+"""Share of the falls that go down in stages."""
+
+
 def drawn(motions: Motions, generator: Generator, kinds: Sequence[float]) -> Motion:
     """A fall, daily life or recorded motion, by these shares."""
     while True:
         chance = generator.random() * sum(kinds)
         if chance < kinds[0]:
-            made = motions.fall(generator)
+            collapses = generator.random() < COLLAPSING
+            made = motions.collapse(generator) if collapses else motions.fall(generator)
         elif chance < kinds[0] + kinds[1]:
             made = motions.daily(generator)
         else:
-            made = motions.recorded(generator, walks=bool(generator.random() < 0.6))
+            chance = generator.random()
+            made = motions.recorded(
+                generator, walks=bool(chance < 0.6), acrobatics=bool(chance > 0.9)
+            )
         if made is not None:
             return made

@@ -84,7 +84,8 @@ def simulated(
 def window_at(track: Track, row: int, now: float) -> NDArray[np.float32]:
     """Inputs of the network at a time, of a track up to a row."""
     first = max(0, int(np.searchsorted(track.times, now - WINDOW_S)) - 1)
-    return window_features(track.times[first : row + 1], track.rows[first : row + 1], now)
+    shown = slice(first, row + 1)
+    return window_features(track.times[shown], track.rows[shown], now, track.watched_from)
 
 
 def windows_of(tracks: Iterator[Track], weight: float = 1.0) -> Windows:
@@ -120,11 +121,9 @@ def _label(track: Track, now: float, lost: bool) -> tuple[bool, float]:
     """Whether the person fell within the window and is down, and whether it counts."""
     if now < track.falls:
         return False, 1.0
-    if now > track.falls + WINDOW_S + 1.0:
-        return False, 0.0
-    begun = track.times[0] < track.falls
     if lost:
-        return True, float(begun)
+        return True, float(track.times[0] < track.falls)
+    begun = track.watched_from < track.falls
     return True, float(begun and track.down + SHOWN_S <= now <= track.falls + WINDOW_S)
 
 

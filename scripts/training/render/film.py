@@ -44,7 +44,7 @@ OVERHEAD, HIDES, COVERED, SWITCHED = 0.2, 0.2, 0.5, 0.1
 in which the light changes."""
 
 LONGER_SIDE_PX = (240, 320, 320, 400, 400, 480, 480, 640)
-FRAMES = 35
+FRAMES = 40
 
 FIRST_FRAME = 45
 """A film begins so many frames of its motion later, about two seconds before a fall."""

@@ -105,7 +105,7 @@ class PoseSource:
         wanted = FRAME_POSTURES.index(name)
         standing = FRAME_POSTURES.index("standing")
         if name == "lying" and generator.random() < self.fallen:
-            return self._fallen(int(generator.integers(FALLEN_POSES)), generator)
+            return self.fallen_pose(int(generator.integers(FALLEN_POSES)), generator)
         if name in UNRECORDED and generator.random() < self.unrecorded:
             makers_of = UNRECORDED[name]
             return self.made(makers_of[generator.integers(len(makers_of))], generator)
@@ -138,7 +138,7 @@ class PoseSource:
         pose.rotations = turned_to_front(pose.rotations[None])[0]
         return pose
 
-    def _fallen(self, number: int, generator: Generator) -> Pose:
+    def fallen_pose(self, number: int, generator: Generator) -> Pose:
         """How a person lies who fell, by physics; the pose of a number stays the same."""
         while number not in self._falls:
             clip = self.poses.clips[generator.integers(len(self.poses.clips))]

@@ -12,6 +12,7 @@ from app.estimation.results import Person
 from app.tracking.falls import (
     COLUMNS,
     MODEL,
+    POINTS,
     REPORTED_FROM,
     WINDOW_S,
     FallModel,
@@ -230,13 +231,13 @@ def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
     assert MODEL.stat().st_size < 170_000
     assert sum(map(np.size, model.weights)) < 3 * 30_000
     wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
-    with pytest.raises(ValueError, match="expected weights Nx57x"):
+    with pytest.raises(ValueError, match="expected weights Nx60x"):
         FallModel(wrong, model.offsets)
 
 
 def test_the_model_gives_the_mean_of_its_networks() -> None:
     model = shipped_model()
-    windows = np.random.default_rng(4).uniform(-1, 1, (5, 15 * COLUMNS)).astype(np.float32)
+    windows = np.random.default_rng(4).uniform(-1, 1, (5, POINTS * COLUMNS)).astype(np.float32)
     single = [
         FallModel(
             tuple(weight[[number]] for weight in model.weights),
