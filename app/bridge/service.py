@@ -27,9 +27,10 @@ class Camera:
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
         return self._send("POST", f"/frames?{query}", "persons", encoded)
 
-    def zones(self) -> list[str]:
-        """Return the names of the camera's zones; it has sent a frame."""
-        return [zone["name"] for zone in self._send("GET", "", "zones")[1]["zones"]]
+    def settings(self) -> tuple[list[str], list[str]]:
+        """Return the names of the camera's zones, and the events it raises; it has sent a frame."""
+        camera = self._send("GET", "", "zones")[1]
+        return [zone["name"] for zone in camera["zones"]], camera["events"]
 
     def events(self) -> list[dict[str, Any]]:
         """Return the latest events of the camera, oldest first; none if it is not known."""
