@@ -247,13 +247,13 @@ class FallReport:
     def update(self, timestamp: float, fell: float, up: float, *, lost: bool = False) -> bool:
         """Add the probabilities of a frame; return whether a fall is to be reported now.
 
-        At the frame in which a person is ``lost``, the probability is not filtered: no other frame
-        can confirm it.
+        In the frames in which a person is ``lost``, the probability is not filtered, since no other
+        frame can confirm it, and nothing shows that the person is up.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         self._last_at = timestamp
         likely = self._likely.update(fell, elapsed)
-        if up < _UP_FROM:
+        if lost or up < _UP_FROM:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp
