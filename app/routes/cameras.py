@@ -20,7 +20,7 @@ from app.api.tracking_schemas import (
     CameraState,
     TrackResponse,
 )
-from app.cameras import CameraKey, CameraSessions, TooManyCamerasError
+from app.cameras import CameraKey, CameraSessions, NoSessionsError, TooManyCamerasError
 from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
@@ -102,8 +102,8 @@ async def track_frame(
     or has switched to another index.
     """
     runtime = runtime_of(request)
-    if not runtime.settings.max_cameras:
-        raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
+    with _kept():
+        runtime.sessions.check_kept()
     estimator, sessions = runtime.ready_estimator(), runtime.sessions
     upload, timestamp = query.of(frame.upload), frame.timestamp
     if query.timestamp is not None:
@@ -196,7 +196,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     operation_id="configure_camera",
     summary="Configure a camera",
     dependencies=[NoQuery],
-    responses=documented(401, 403, 408, 409, 413, 422, 503),
+    responses=documented(401, 403, 404, 408, 409, 413, 422, 503),
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -220,8 +220,9 @@ async def configure_camera(
     sent no frame is forgotten for the new one.
     """
     try:
-        settings = settings_from(configuration)
-        return camera_reply(runtime_of(request).sessions.configure(camera, settings))
+        with _kept():
+            settings = settings_from(configuration)
+            return camera_reply(runtime_of(request).sessions.configure(camera, settings))
     except TooManyCamerasError as error:
         raise ProblemError(409, str(error), reason="too_many_cameras") from None
 
@@ -244,6 +245,15 @@ async def forget_camera(request: Request, camera: Camera) -> None:
     """
     with _known(camera):
         runtime_of(request).sessions.forget(camera)
+
+
+@contextmanager
+def _kept() -> Iterator[None]:
+    """Answer 404 if the service keeps no sessions."""
+    try:
+        yield
+    except NoSessionsError as error:
+        raise ProblemError(404, str(error), reason="no_sessions") from None
 
 
 @contextmanager

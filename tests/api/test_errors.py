@@ -207,6 +207,7 @@ def test_a_refusal_says_why(
     ("changed", "request_", "status", "said"),
     [
         ({"max_cameras": 0}, (YARD, form(frame=FRAME)), 404, "no camera sessions"),
+        ({"max_cameras": 0}, ("PUT /cameras/yard", {"json": {}}), 404, "no camera sessions"),
         ({"max_upload_bytes": 100}, ("/pose", form(frame=FRAME)), 413, ""),
         ({"max_upload_bytes": 1024}, ("/pose", body(iter([PART, *[b"x" * 100] * 100]))), 413, ""),
     ],
