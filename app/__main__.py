@@ -61,12 +61,11 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
 
     from app.http.access_log import log_config
     from app.main import create_app
+    from app.networks.shipped import NetworkError, check_files
     from app.serving import read_cameras
-    from app.vision.models import check_networks
-    from app.vision.tflite import NetworkError
 
     try:
-        check_networks()
+        check_files()
         read_cameras(settings.cameras_file)
     except (SettingsError, NetworkError) as error:
         sys.exit(str(error))

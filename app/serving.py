@@ -24,6 +24,7 @@ from app.http.errors import overloaded
 from app.http.identity import CAMERA_PATTERN, identity_of
 from app.http.metrics import Metrics
 from app.messages import located
+from app.networks.shipped import NetworkError
 from app.photograph import Estimator, load_estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
@@ -34,7 +35,6 @@ from app.scheduling.process import (
     trim_heap,
 )
 from app.settings import Settings, SettingsError
-from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError
 from index.search import SearchUnavailableError
 from index.store import PoseIndex

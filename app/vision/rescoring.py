@@ -16,8 +16,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import Box, PersonWindow, resize, sample_window
-from app.vision.tflite import TfliteNetwork
 
 PERSON_PX = 96
 """Height of a person in the windows on which the detector was trained."""
@@ -73,7 +73,7 @@ _GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
 class ObjectNetwork:
     """Distinguishes people from other objects; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

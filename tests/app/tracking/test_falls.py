@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.shipped import file_of
 from app.tracking.falls import (
     COLUMNS,
-    MODEL,
     REPORTED_FROM,
     WINDOW_S,
     FallModel,
@@ -272,7 +272,7 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
 
 def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
     model = shipped_model()
-    assert MODEL.stat().st_size < 170_000
+    assert file_of("falls").stat().st_size < 170_000
     assert sum(map(np.size, model.weights)) < 3 * 30_000
     wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
     with pytest.raises(ValueError, match="expected weights Nx57x"):

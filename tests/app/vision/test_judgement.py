@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from app.networks.shipped import NetworkError, file_of
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.depth import HIPS
 from app.vision.geometry import Box, PersonWindow
@@ -20,13 +21,11 @@ from app.vision.judgement import (
     sharpened,
     trust_features,
 )
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader
 from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
 from app.vision.person_reader import PersonReader
-from app.vision.tflite import NetworkError
 from index.skeleton import other_side
 from tests.support.projection import project
 
@@ -214,7 +213,7 @@ def test_asphalt_is_nobody(
 
 
 def test_what_ships_is_small(models: PhotographModels) -> None:
-    assert network_path("photograph_models").stat().st_size < 2_500_000
+    assert file_of("photograph_models").stat().st_size < 2_500_000
     assert models.posture.network.biases[-1].shape == (len(FRAME_POSTURES),)
 
 

@@ -9,11 +9,9 @@ import numpy as np
 from ai_edge_litert.interpreter import Interpreter
 from numpy.typing import NDArray
 
+from app.networks.shipped import NetworkError
+
 Shape = tuple[int | None, ...]
-
-
-class NetworkError(RuntimeError):
-    """A network's file is missing, altered or not the expected network."""
 
 
 class TfliteNetwork:
