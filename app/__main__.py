@@ -72,11 +72,14 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
     # Once it has shut down, uvicorn raises the signal again for the handlers that it found here.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
+    # Python would take `::` for IPv6 alone, `""` for both; the parent of several workers takes `::`
+    # for both.
+    host = "" if settings.host == "::" and settings.workers == 1 else settings.host
     create = partial(create_app, settings, read_index=read_index)
     uvicorn.run(
         create if settings.workers == 1 else "app.main:create_app",
         factory=True,
-        host=settings.host,
+        host=host,
         port=settings.port,
         workers=settings.workers,
         http="app.http.protocol:HttpProtocol",

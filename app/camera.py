@@ -241,8 +241,8 @@ class CameraSession:
         begins_afresh = timestamp < self._timestamp - _MAX_LATE_S
         if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
             raise LateFrameError(
-                f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
-                f"frame, got {timestamp:g} s"
+                f"expected a timestamp after {self._timestamp:.15g} s, that of the camera's "
+                f"last frame, got {timestamp:.15g} s"
             )
         return timestamp
 

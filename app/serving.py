@@ -230,7 +230,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     if path is None:
         return {}
     try:
-        cameras = _CAMERAS.validate_json(path.read_text(errors="replace"))
+        cameras = _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"

@@ -1,5 +1,6 @@
 """Camera sessions: the frames of fixed cameras, in order, and the people in them over time."""
 
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated
@@ -105,11 +106,11 @@ async def track_frame(
     with _kept():
         runtime.sessions.check_kept()
     estimator, sessions = runtime.ready_estimator(), runtime.sessions
-    upload, timestamp = query.of(frame.upload), frame.timestamp
-    if query.timestamp is not None:
-        if timestamp is not None:
-            raise invalid("timestamp", "expected a form field or a query parameter, got both")
-        timestamp = query.timestamp
+    upload, times = query.of(frame.upload), [frame.timestamp, query.seconds(), query.timestamp]
+    given = [time for time in times if time is not None]
+    if len(given) > 1:
+        raise invalid("timestamp", "expected a form field or a query parameter, got both")
+    timestamp = given[0] if given else None
 
     def work(job: Job) -> bytes:
         tracked = sessions.process(
@@ -183,7 +184,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
         most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
         raise invalid("zones", f"expected {most}, got {count} values")
     try:
-        return CameraConfiguration.model_validate_json(body)
+        return CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
         raise ProblemError(

@@ -19,7 +19,7 @@ from app.film import VideoRun
 from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
-from app.routes.openapi import documented, documented_form
+from app.routes.openapi import BINARY, documented, documented_form
 from app.routes.queries import GivenOnce, SequenceQuery, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
@@ -28,7 +28,7 @@ from app.video import Frame
 from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
-_BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace")
+_BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace", "application/octet-stream")
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
@@ -112,17 +112,14 @@ async def _open(
             "description": "A line of JSON for each frame as soon as it is done, and a last line "
             "of type `end`; its type is always `application/x-ndjson`.",
             "model": SequenceLine,
-            # openapi-python-client ignores lines of JSON.
-            "content": {
-                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}}
-            },
+            "content": {**BINARY},
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
     openapi_extra=documented_form(
         VideoUpload,
-        "A video may also be the body itself, as `video/mp4` or any other type of video, "
-        "`image/gif`, or `multipart/x-mixed-replace`.",
+        "A form, or a video alone: as `application/octet-stream`, `video/mp4` or any other type of "
+        "video, `image/gif`, or `multipart/x-mixed-replace`.",
     ),
 )
 async def analyse_sequence(
