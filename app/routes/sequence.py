@@ -10,7 +10,7 @@ from typing import IO, Annotated
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceLine, VideoUpload
@@ -32,28 +32,16 @@ _BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace")
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
-_UNREAD_S = 30.0
-"""A connection whose client reads nothing for this long is closed."""
-
 
 class LineStream(StreamingResponse):
-    """Lines of JSON; the connection closes if the client does not read them."""
+    """Lines of JSON, which are no longer made once the client has gone."""
 
     media_type = "application/x-ndjson"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the lines."""
-
-        async def send_soon(message: Message) -> None:
-            async with asyncio.timeout(_UNREAD_S):
-                await send(message)
-
         async with aclosing(self.body_iterator):  # type: ignore[type-var]
-            try:
-                await super().__call__(scope, receive, send_soon)
-            except TimeoutError:
-                # The server closes the connection of an incomplete answer.
-                request_state(scope).rejected_reason = "client_gone"
+            await super().__call__(scope, receive, send)
 
 
 @asynccontextmanager
