@@ -152,6 +152,7 @@ class HttpProtocol(asyncio.Protocol):
                 self._close()
         else:
             self._start_timer(self.head_timeout_s, self._close)
+            self.control_reading()
 
     def _expect_request(self) -> None:
         self._exchange, self._head_bytes = _Exchange(self), 0
@@ -287,6 +288,7 @@ class _Exchange:
             raise ProblemError(400, "expected Content-Length or Transfer-Encoding, got both")
         self.is_begun = True
         self.scope = self._scope_of(request)
+        request_state(self.scope).hang_up = self._connection.transport.abort
         tasks = self._connection.server.tasks
         task = asyncio.get_running_loop().create_task(self._run())
         tasks.add(task)
@@ -372,6 +374,7 @@ class _Exchange:
             return
         await self._connection.write(part, self._http.send(h11.EndOfMessage()))
         self.is_answered = True
+        self._body.clear()
         self._changed.set()
         if not self._is_lost:
             self._connection.end_exchange(keep_alive=self._http.our_state is h11.DONE)

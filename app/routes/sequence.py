@@ -75,19 +75,18 @@ async def _open(
     request: Request, query: Annotated[SequenceQuery, Query()]
 ) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
-    runtime = runtime_of(request)
+    runtime, caller = runtime_of(request), identity_of(request.scope).caller
     runtime.ready_estimator()
+    runtime.check_sequence(caller)  # Before the upload, which would be in vain.
     settings = runtime.settings
-    with runtime.sequence():
-        async with (
-            _received(request) as file,
-            open_video(
+    async with _received(request) as file:
+        with runtime.sequence(caller):
+            async with open_video(
                 file, query.stride, settings.max_pixels, settings.sequence_timeout_s
-            ) as reader,
-        ):
-            first = await reader.next()
-            assert first is not None
-            yield _OpenVideo(reader, first)
+            ) as reader:
+                first = await reader.next()
+                assert first is not None
+                yield _OpenVideo(reader, first)
 
 
 @router.post(

@@ -3,6 +3,7 @@
 import json
 import socket
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +133,34 @@ def test_lines_arrive_while_the_video_is_worked_on(
         # The process that decoded it has ended, too.
         pid = narrow.process.pid
         assert Path(f"/proc/{pid}/task/{pid}/children").read_text().split() == []
+
+
+def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes) -> None:
+    address = httpx.URL(server.url)
+    head = b"POST /sequence HTTP/1.1\r\nHost: x\r\nContent-Type: video/avi\r\n"
+    head += b"Content-Length: 9999\r\n\r\n"
+    with ExitStack() as stack:
+        for _ in range(2):
+            slow = stack.enter_context(socket.create_connection((address.host, address.port)))
+            slow.sendall(head + video[:1000])
+        with httpx.Client(base_url=server.url, timeout=30) as client:
+            for caller in ("127.0.0.1", "10.9.9.9"):
+                headers = {"X-Forwarded-For": caller}
+                answer = client.post("/sequence?max_frames=1", files={"video": video}, headers=headers)
+                assert parse(answer)[1].frames == 1
+
+
+def test_one_caller_leaves_a_place_to_others(
+    server: Server, long_video: bytes, video: bytes
+) -> None:
+    with httpx.Client(base_url=server.url, timeout=30) as client:
+        with client.stream("POST", "/sequence", files={"video": long_video}) as answer:
+            next(answer.iter_lines())
+            assert "one caller's" in check_problem(post(client, video), 503)
+            headers = {"X-Forwarded-For": "10.9.9.9"}
+            other = client.post("/sequence?max_frames=1", files={"video": video}, headers=headers)
+            assert parse(other)[1].frames == 1
+        eventually(lambda: sample(client, "pose_sequences") == 0)
 
 
 def test_sigterm_ends_a_video_with_a_line(index_path: Path, long_video: bytes) -> None:

@@ -248,6 +248,23 @@ async def test_a_body_whose_end_is_in_doubt_is_refused(framing: bytes) -> None:
     assert problem(await talk(sent))["status"] in (400, 501)
 
 
+async def test_all_of_a_body_that_is_not_wanted_is_read() -> None:
+    """Most clients send it before they read the reply."""
+    size, asked = 2**24, asyncio.Event()
+
+    async def refusing(scope: Scope, receive: Receive, send: Send) -> None:
+        await asked.wait()
+        await DONE(scope, receive, send)
+
+    async with connection(refusing) as (reader, writer):
+        writer.write(b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d\r\n\r\n" % size)
+        writer.write(b"x" * size)
+        await asyncio.sleep(0.1)
+        asked.set()
+        await writer.drain()
+        assert (await reader.readuntil(b"done")).startswith(b"HTTP/1.1 200 OK")
+
+
 async def test_a_body_that_is_not_wanted_is_no_request() -> None:
     """The reply comes before the body, which is dropped; the next request is answered."""
     async with connection() as (reader, writer):
