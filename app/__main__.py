@@ -60,6 +60,7 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
     import uvicorn
 
     from app.http.access_log import log_config
+    from app.http.protocol import HttpProtocol
     from app.main import create_app
     from app.networks.shipped import NetworkError, check_files
     from app.serving import read_cameras
@@ -82,7 +83,7 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
         host=host,
         port=settings.port,
         workers=settings.workers,
-        http="app.http.protocol:HttpProtocol",
+        http=HttpProtocol,
         ws="none",
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,

@@ -87,7 +87,7 @@ def create_app(
     runtime = Runtime(settings, executor, metrics, sessions)
     metrics.sessions.set_function(lambda: len(sessions))
     metrics.observe_cameras(sessions.traffic)
-    metrics.sequences.set_function(lambda: runtime.sequences)
+    metrics.sequences.set_function(lambda: len(runtime.sequences))
     metrics.in_flight.set_function(lambda: executor.queue.in_flight)
     metrics.capacity_used.set_function(executor.queue.load)
     metrics.observe_build(VERSION, settings)

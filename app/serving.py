@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
 
@@ -21,7 +21,7 @@ from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
 from app.http.errors import overloaded
-from app.http.identity import CAMERA_PATTERN, identity_of
+from app.http.identity import CAMERA_PATTERN, Caller, identity_of
 from app.http.metrics import Metrics
 from app.messages import located
 from app.networks.shipped import NetworkError
@@ -51,7 +51,7 @@ _SEQUENCE_RETRY_S = 10
 class Runtime:
     """State of an application.
 
-    All work on images is the executor's. ``sequences`` counts the videos that are received or
+    All work on images is the executor's. ``sequences`` has the callers of the videos that are
     worked on. Until the index is loaded, ``estimator`` is None, ``not_ready_because`` tells the
     operator why, and ``loading`` is whether loading goes on or will be tried again.
     """
@@ -60,7 +60,7 @@ class Runtime:
     executor: Executor
     metrics: Metrics
     sessions: CameraSessions
-    sequences: int = 0
+    sequences: list[Caller] = field(default_factory=list)
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
     loading: bool = True
@@ -73,21 +73,29 @@ class Runtime:
             raise overloaded(self.not_ready_because, "not_ready", retry_after_s)
         return self.estimator
 
+    def check_sequence(self, caller: Caller) -> None:
+        """Raise a 503 if no further video of this caller may be worked on.
+
+        One caller leaves a place to others, for as long as a video may take.
+        """
+        most, retry_s = self.settings.max_sequences, _SEQUENCE_RETRY_S
+        own = max(1, most - 1)
+        if len(self.sequences) >= most:
+            sentence = f"expected at most {most} videos at once; try again later"
+            raise overloaded(sentence, "too_many_sequences", retry_s)
+        if self.sequences.count(caller) >= own:
+            sentence = f"expected at most {own} of one caller's videos at once; try again later"
+            raise overloaded(sentence, "too_many_sequences", retry_s)
+
     @contextmanager
-    def sequence(self) -> Iterator[None]:
-        """Count a video while it is received and worked on; raise a 503 if there are too many."""
-        most = self.settings.max_sequences
-        if self.sequences >= most:
-            raise overloaded(
-                f"expected at most {most} videos at once; try again later",
-                "too_many_sequences",
-                _SEQUENCE_RETRY_S,
-            )
-        self.sequences += 1
+    def sequence(self, caller: Caller) -> Iterator[None]:
+        """Count a video while it is worked on; raise a 503 if there are too many."""
+        self.check_sequence(caller)
+        self.sequences.append(caller)
         try:
             yield
         finally:
-            self.sequences -= 1
+            self.sequences.remove(caller)
 
 
 def runtime_of(request: Request) -> Runtime:

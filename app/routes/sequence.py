@@ -10,7 +10,7 @@ from typing import IO, Annotated
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceLine, VideoUpload
@@ -32,28 +32,16 @@ _BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace", "application/
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
-_UNREAD_S = 30.0
-"""A connection whose client reads nothing for this long is closed."""
-
 
 class LineStream(StreamingResponse):
-    """Lines of JSON; the connection closes if the client does not read them."""
+    """Lines of JSON, which are no longer made once the client has gone."""
 
     media_type = "application/x-ndjson"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the lines."""
-
-        async def send_soon(message: Message) -> None:
-            async with asyncio.timeout(_UNREAD_S):
-                await send(message)
-
         async with aclosing(self.body_iterator):  # type: ignore[type-var]
-            try:
-                await super().__call__(scope, receive, send_soon)
-            except TimeoutError:
-                # The server closes the connection of an incomplete answer.
-                request_state(scope).rejected_reason = "client_gone"
+            await super().__call__(scope, receive, send)
 
 
 @asynccontextmanager
@@ -87,19 +75,18 @@ async def _open(
     request: Request, query: Annotated[SequenceQuery, Query()]
 ) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
-    runtime = runtime_of(request)
+    runtime, caller = runtime_of(request), identity_of(request.scope).caller
     runtime.ready_estimator()
+    runtime.check_sequence(caller)  # Before the upload, which would be in vain.
     settings = runtime.settings
-    with runtime.sequence():
-        async with (
-            _received(request) as file,
-            open_video(
+    async with _received(request) as file:
+        with runtime.sequence(caller):
+            async with open_video(
                 file, query.stride, settings.max_pixels, settings.sequence_timeout_s
-            ) as reader,
-        ):
-            first = await reader.next()
-            assert first is not None
-            yield _OpenVideo(reader, first)
+            ) as reader:
+                first = await reader.next()
+                assert first is not None
+                yield _OpenVideo(reader, first)
 
 
 @router.post(
