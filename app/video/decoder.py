@@ -21,6 +21,9 @@ _FORMATS = (
 )
 _OPTIONS = {"format_whitelist": _FORMATS}
 
+_MEMORY_BYTES = 640 * 1024**2
+_NICENESS = 5
+
 
 def main() -> None:
     """Write the frames of an open file to standard output."""
@@ -30,7 +33,8 @@ def main() -> None:
     parser.add_argument("--max-pixels", type=int, required=True, help="of a frame")
     parser.add_argument("--max-seconds", type=int, required=True, help="of processor time")
     options = parser.parse_args()
-    limit_resources(options.max_seconds)
+    os.nice(_NICENESS)
+    limit_resources(options.max_seconds, _MEMORY_BYTES)
     try:
         forbid_system_calls()
     except OSError as error:

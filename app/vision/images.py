@@ -79,8 +79,8 @@ def decode_image(
     animation gives its first picture. Transparent pixels are blended with grey, so their hidden
     colours do not count. 16 bits become 8; if the upper half of their range is not used, as with
     cameras of 10 to 14 bits, the used range is stretched. A JPEG or TIFF is read if less than half
-    of it is missing. While other large images are decoded, ``checkpoint`` is called now and then; it
-    raises an error if the result is not wanted.
+    of it is missing. A large image may have to wait for another one; meanwhile, ``checkpoint`` is
+    called, which raises an error if the result is not wanted.
 
     Raises
     ------
@@ -92,6 +92,18 @@ def decode_image(
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):
         return _photograph(data, header)
+
+
+_EXPENSIVE = (b"RIFF", b"II", b"MM", b"GIF8", b"BM")
+
+
+def is_expensive(data: bytes) -> bool:
+    """Whether a file may take more time or memory than its bytes and pixels suggest.
+
+    These are WebP, TIFF, GIF and BMP. A WebP may have 65,536 codes for its colours, each with 5 KB
+    of tables, and each strip of a TIFF may be all of the file.
+    """
+    return data.startswith(_EXPENSIVE)
 
 
 def _photograph(data: bytes, header: Image.Image) -> Photograph:
@@ -326,6 +338,7 @@ def read_header(data: bytes, max_pixels: int) -> tuple[bytes, Image.Image]:
     """
     if not data:
         raise ImageError("expected an image, got no bytes")
+    _check_size(_webp_size(data), max_pixels)  # Pillow allocates the pixels of a WebP at once.
     try:
         data = plain(data)
         header = Image.open(io.BytesIO(data), formats=FORMATS)
@@ -339,14 +352,40 @@ def read_header(data: bytes, max_pixels: int) -> tuple[bytes, Image.Image]:
         kind = kind_of(data)
         found = "a broken one" if kind.endswith("image") else kind
         raise ImageError(f"expected {_EXPECTED}, got {found}") from error
-    if header.width * header.height > max_pixels:
-        raise ImageTooLargeError(
-            f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
-        )
+    _check_size(header.size, max_pixels)
     if header.format == "TIFF" and header.mode in ("F", "I"):
         kind = "floating point" if header.mode == "F" else "whole numbers"
         raise ImageError(f"expected 8 or 16 bits a channel, got 32 bit {kind}")
     return data, header
+
+
+def read_size(data: bytes, max_pixels: int) -> tuple[int, int]:
+    """Read width and height, in the memory of a header; raises like :func:`read_header`."""
+    size = _webp_size(data)
+    _check_size(size, max_pixels)
+    return size if all(size) else read_header(data, max_pixels)[1].size
+
+
+def _check_size(size: tuple[int, int], max_pixels: int) -> None:
+    width, height = size
+    if width * height > max_pixels:
+        raise ImageTooLargeError(f"expected at most {max_pixels} pixels, got {width}x{height}")
+
+
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Width and height of a WebP; 0 for other files."""
+    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+        match data[12:16]:
+            case b"VP8X":
+                width, height = (int.from_bytes(data[at : at + 3], "little") for at in (24, 27))
+                return width + 1, height + 1
+            case b"VP8L":
+                bits = int.from_bytes(data[21:25], "little")
+                return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+            case b"VP8 ":
+                width, height = (int.from_bytes(data[at : at + 2], "little") for at in (26, 28))
+                return width & 0x3FFF, height & 0x3FFF
+    return 0, 0
 
 
 _EXPECTED = "a PNG, JPEG, WebP, BMP, TIFF or GIF image"
