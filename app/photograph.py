@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from app.decoding.workers import Workers
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.estimation.posture import as_standing, likeliest_posture, shares_of
@@ -69,6 +70,12 @@ class Estimator:
         """Return an estimator with the same models and another index."""
         other = copy(self)
         other.index = index
+        return other
+
+    def with_workers(self, workers: Workers) -> Estimator:
+        """Return an estimator with the same models that has expensive images decoded by workers."""
+        other = copy(self)
+        other._decoder = replace(self._decoder, workers=workers)
         return other
 
     def estimate(

@@ -20,6 +20,7 @@ from app import VERSION
 from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
+from app.decoding.workers import Workers
 from app.http.errors import overloaded
 from app.http.identity import CAMERA_PATTERN, Caller, identity_of
 from app.http.metrics import Metrics
@@ -51,13 +52,15 @@ _SEQUENCE_RETRY_S = 10
 class Runtime:
     """State of an application.
 
-    All work on images is the executor's. ``sequences`` has the callers of the videos that are
-    worked on. Until the index is loaded, ``estimator`` is None, ``not_ready_because`` tells the
-    operator why, and ``loading`` is whether loading goes on or will be tried again.
+    All work on images is the executor's; ``workers`` decode those that may be expensive.
+    ``sequences`` has the callers of the videos that are worked on. Until the index is loaded,
+    ``estimator`` is None, ``not_ready_because`` tells the operator why, and ``loading`` is whether
+    loading goes on or will be tried again.
     """
 
     settings: Settings
     executor: Executor
+    workers: Workers
     metrics: Metrics
     sessions: CameraSessions
     sequences: list[Caller] = field(default_factory=list)
@@ -166,6 +169,7 @@ async def keep_index_loaded(
 
 def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     """Serve with an estimator from now on; current requests keep theirs."""
+    estimator = estimator.with_workers(runtime.workers)
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)

@@ -1,4 +1,4 @@
-"""The limits of the process that decodes a video: it computes, reads what is open, and writes.
+"""The limits of processes that decode: they compute, read what is open, and write.
 
 That of a stream receives it as well.
 """
@@ -12,9 +12,6 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-_MEMORY_BYTES = 640 * 1024**2
-_NICENESS = 5
-
 # Their numbers for seccomp.
 _MACHINES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 
@@ -25,7 +22,7 @@ _ALLOWED = (
     ("madvise", 28, 233), ("brk", 12, 214), ("futex", 202, 98), ("sched_yield", 24, 124),
     ("clock_gettime", 228, 113), ("getrandom", 318, 278), ("rt_sigaction", 13, 134),
     ("rt_sigprocmask", 14, 135), ("rt_sigreturn", 15, 139), ("exit", 60, 93),
-    ("exit_group", 231, 94),
+    ("exit_group", 231, 94), ("setitimer", 38, 103),
 )  # fmt: skip
 
 
@@ -39,17 +36,16 @@ _NETWORK = (
 )  # fmt: skip
 
 
-def limit_resources(max_seconds: int, *, network: bool = False) -> None:
+def limit_resources(max_seconds: int, max_bytes: int, *, network: bool = False) -> None:
     """Limit memory and processor time, and let no file or socket be opened from now on.
 
     With ``network``, descriptors are not limited, since sockets have some.
     """
-    os.nice(_NICENESS)
     # If memory runs out, the kernel ends this process first.
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
     for kind, limit in (
-        (resource.RLIMIT_DATA, _MEMORY_BYTES),
+        (resource.RLIMIT_DATA, max_bytes),
         (resource.RLIMIT_CPU, max_seconds),
         (resource.RLIMIT_NOFILE, 0),
         (resource.RLIMIT_FSIZE, 0),

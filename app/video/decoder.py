@@ -25,6 +25,8 @@ _OPTIONS = {"format_whitelist": _FORMATS}
 
 STREAM_TIMEOUT_S = 10.0
 """Longest time for which a stream may send nothing."""
+_MEMORY_BYTES = 640 * 1024**2
+_NICENESS = 5
 
 
 def main() -> None:
@@ -47,7 +49,8 @@ def main() -> None:
             sys.exit("no camera answers at the address of the stream")
     else:
         source = os.fdopen(options.file, "rb", buffering=0)
-    limit_resources(options.max_seconds, network=is_stream)
+    os.nice(_NICENESS)
+    limit_resources(options.max_seconds, _MEMORY_BYTES, network=is_stream)
     try:
         forbid_system_calls(network=is_stream)
     except OSError as error:

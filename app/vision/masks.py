@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -15,9 +16,9 @@ from app.vision.geometry import Box
 from app.vision.images import (
     ImageError,
     bits_of,
-    checked_header,
     decode_pixels,
     is_lossy,
+    read_header,
     read_stored,
     turn_of,
 )
@@ -73,7 +74,9 @@ class LabelImage:
         return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
 
 
-def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
+def decode_mask(
+    data: bytes, *, max_pixels: int, checkpoint: Callable[[], None] = lambda: None
+) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
     Grey images and PNG images with a palette keep their stored values, whatever their bit depth; a
@@ -82,7 +85,8 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
     since compression destroys labels; in these, values of at least half of the largest mark the
     person. Three channels are accepted if they are equal. Transparent pixels are background; if all
     others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
-    Parts smaller than a figure, such as a stray pixel, are dropped.
+    Parts smaller than a figure, such as a stray pixel, are dropped. ``checkpoint`` is that of
+    :func:`app.vision.images.decode_image`.
 
     Raises
     ------
@@ -91,8 +95,8 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         are no labels of bodies: shades, more than 100 labels, scattered ones, background that is
         not 0, or figures of a few pixels.
     """
-    header = checked_header(data, max_pixels)
-    with turn_of(header.width * header.height):
+    data, header = read_header(data, max_pixels)
+    with turn_of(header.width * header.height, checkpoint):
         lossy = is_lossy(header, data)
         image = LabelImage.of(_values(data, header, lossy))
         if image.present:
