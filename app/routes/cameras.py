@@ -26,7 +26,7 @@ from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, NoQuery, TrackQuery, hypotheses_of
+from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving import run_frame, runtime_of
@@ -104,7 +104,7 @@ async def track_frame(
     runtime = runtime_of(request)
     if not runtime.settings.max_cameras:
         raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
-    estimator, sessions = runtime.ready_estimator(), runtime.sessions
+    estimator, sessions = estimator_for(runtime.ready_estimator(), query), runtime.sessions
     upload, timestamp = query.of(frame.upload), frame.timestamp
     if query.timestamp is not None:
         if timestamp is not None:

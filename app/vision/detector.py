@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
+from app.vision.detectors.hog import PERSON_PX, hog_margin
 from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
@@ -21,7 +22,7 @@ from app.vision.models import fitted_constants
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
-from app.vision.rescoring import PERSON_PX, ObjectNetwork, hog_margin
+from app.vision.rescoring import ObjectNetwork
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3
