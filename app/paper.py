@@ -35,6 +35,7 @@ from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box
 from app.vision.grabcut import cut_out_by_colour
 from app.vision.people import Detection, Silhouette
+from index.skeleton import rows
 from index.store import PoseIndex
 
 
@@ -67,17 +68,23 @@ def extract_silhouettes(
 
 # Entries whose mean is the likely shape of a person.
 _SHAPES = 512
-# They stand upright if the head is in the uppermost part of the frame and a foot in the lowest.
-_HEAD_ROW, _FOOT_ROW = 16, 112
+# They stand upright if the head is in the uppermost rows above the pelvis, and both ankles are in
+# the lowest.
+_HEAD_ROWS, _ANKLE_ROWS, _ASIDE = 20, 108, 8
+_HEAD, _PELVIS, *_ANKLES = rows("head", "pelvis", "left_ankle", "right_ankle")
 
 
 def likely_shape(index: PoseIndex) -> NDArray[np.float64]:
     """Mean of silhouettes of upright people: ``(128, 48)``, symmetric, 0 to 1."""
-    some = np.unique(np.linspace(0, len(index) - 1, 8 * _SHAPES).astype(int))
-    rows = index.points(some)[1][..., 1]
-    upright = (rows.min(axis=1) < _HEAD_ROW) & (rows.max(axis=1) > _FOOT_ROW)
+    some = np.unique(np.linspace(0, len(index) - 1, 16 * _SHAPES).astype(int))
+    points = index.points(some)[1]
+    upright = (
+        (points[:, _HEAD, 1] < _HEAD_ROWS)
+        & (points[:, _ANKLES, 1] > _ANKLE_ROWS).all(axis=1)
+        & (np.abs(points[:, _HEAD, 0] - points[:, _PELVIS, 0]) < _ASIDE)
+    )
     chosen = some[upright] if upright.any() else some
-    mean = index.silhouettes(chosen[:: -(-len(chosen) // _SHAPES)]).mean(axis=0)
+    mean = index.silhouettes(chosen[:_SHAPES]).mean(axis=0)
     return np.asarray((mean + mean[:, ::-1]) / 2)
 
 

@@ -65,8 +65,7 @@ _Evidence = Annotated[
     Evidence,
     Field(
         description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
-        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
-        "which is fastest.",
+        "with them which way a person faces; `silhouette`: the silhouette alone, which is fastest.",
         examples=["photograph"],
     ),
 ]

@@ -49,8 +49,8 @@ _MAX_IOU, _MAX_COVERED = 0.4, 0.7
 # Windows that are compared with one another, which bounds the memory.
 _MAX_WINDOWS = 1000
 # Log odds that a window shows a person: slope and offset over its margin. Fitted by
-# `python -m scripts fit-paper` to frames of vtest.
-_SLOPE, _OFFSET = 3.0, -1.0
+# `python -m scripts fit-paper` to 134 windows in frames of vtest.
+_SLOPE, _OFFSET = 3.26, -2.57
 
 
 @dataclass(frozen=True)
@@ -66,26 +66,33 @@ class HogDetector:
 
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect people, best first; scores are probabilities."""
-        boxes, margins = self.windows(picture.frame)
-        kept = _without_overlaps(boxes, margins)
-        scores = sigmoid(_SLOPE * margins[kept] + _OFFSET)
+        boxes, margins = self.kept_windows(picture.frame)
+        scores = sigmoid(_SLOPE * margins + _OFFSET)
         height, width = picture.frame.shape[:2]
         found = []
-        for row, score in zip(boxes[kept].tolist(), scores.tolist(), strict=True):
+        for row, score in zip(boxes.tolist(), scores.tolist(), strict=True):
             box = Box(*row).clip(width, height)
             if box is not None:
                 found.append(Detection(box, score))
         return found
+
+    def kept_windows(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
+        """The windows that are left after non-maximum suppression, as :meth:`windows`."""
+        boxes, margins = self.windows(frame)
+        kept = _without_overlaps(boxes, margins)
+        return boxes[kept], margins[kept]
 
     def windows(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
         """Boxes ``(N, 4)`` of all windows of a frame with a positive margin, and their margins."""
         height, width = frame.shape[:2]
         smallest = self.min_person_px or _MIN_PERSON_SHARE * height
         factor = min(PERSON_PX / smallest, math.sqrt(MAX_FINE_PX / (height * width)))
-        size = round(factor * width), round(factor * height)
-        if min(size) < _STRIDE_PX:
-            return np.zeros((0, 4)), np.zeros(0)
-        image = resize(frame, *size)
+        size = max(1, round(factor * width)), max(1, round(factor * height))
+        # OpenCV crashes on an image that holds no window.
+        right, below = (max(0, least - side) for least, side in zip(_WINDOW_PX, size, strict=True))
+        image = cv2.copyMakeBorder(
+            resize(frame, *size), 0, below, 0, right, cv2.BORDER_REPLICATE
+        ).astype(np.uint8, copy=False)
         rects, weights = _HOG.detectMultiScale(
             image,
             winStride=(_STRIDE_PX, _STRIDE_PX),
