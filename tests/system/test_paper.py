@@ -17,13 +17,14 @@ STREET = WALKERS.read_bytes()
 @pytest.fixture(scope="module")
 def paper() -> Iterator[Server]:
     """The service over the shipped index, with the paper's method as its default."""
-    with running_server(None, POSE_METHOD="paper") as running:
+    patient = {"POSE_REQUEST_TIMEOUT_S": "100", "POSE_MAX_WAIT_S": "100"}  # On a busy machine.
+    with running_server(None, POSE_METHOD="paper", **patient) as running:
         yield running
 
 
 def post(server: Server, path: str, **params: Any) -> httpx.Response:
     files = {"frame": ("walkers.jpg", STREET)}
-    return httpx.post(f"{server.url}{path}", files=files, params=params, timeout=60)
+    return httpx.post(f"{server.url}{path}", files=files, params=params, timeout=120)
 
 
 def test_people_have_seven_entries_and_no_network_was_loaded(paper: Server) -> None:
