@@ -136,6 +136,7 @@ class CameraSession:
             late frame can be, the session starts afresh instead.
         """
         job = job or Job()
+        evidence = self._estimator.evidence(evidence)
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
         empty = self._still_empty(upload, timestamp, evidence, job)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,9 +18,10 @@ from app.estimation.results import Estimate, Evidence, Facing, Person, Projected
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.networks.dense import shipped_network
 from app.networks.shipped import constants_of, file_of
+from app.paper import NoNetworks, PaperFinder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.settings import Settings
+from app.settings import Method, Settings
 from app.tracking import actions, falls
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
@@ -35,9 +37,14 @@ from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
 from index.artefact import load_index
 from index.landmark_matching import match_landmarks
-from index.matching import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES, Match
+from index.nearest import match_nearest
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
+
+
+class MethodError(ValueError):
+    """A method needs networks that were not loaded; the message is one sentence."""
 
 
 class Estimator:
@@ -63,13 +70,43 @@ class Estimator:
     ) -> None:
         self.index = index
         self.models = models
+        self.method: Method = "networks"
         self._decoder = UploadDecoder(max_pixels, max_persons)
         self.finder = PeopleFinder(models, min_person_px, max_persons)
+        self._paper = self._by_paper()
 
     def with_index(self, index: PoseIndex) -> Estimator:
         """Return an estimator with the same models and another index."""
         other = copy(self)
         other.index = index
+        other._paper = other._by_paper()
+        return other.by(self.method)
+
+    def by(self, method: Method | None) -> Estimator:
+        """Return the estimator of a method over the same index; by default, this one.
+
+        Raises
+        ------
+        MethodError
+            If the method needs networks that were not loaded.
+        """
+        if method is None or method == self.method:
+            return self
+        if method == "paper":
+            return self._paper
+        raise MethodError("expected paper, since this service has loaded no network, got networks")
+
+    def _by_paper(self) -> Estimator:
+        """The estimator of the paper's method; see :mod:`app.paper`."""
+        other = copy(self)
+        other.method = "paper"
+        other.models = NoNetworks()
+        other.finder = PaperFinder(
+            index=self.index,
+            min_person_px=self.finder.min_person_px,
+            max_persons=self.finder.max_persons,
+        )
+        other._paper = other
         return other
 
     def with_workers(self, workers: Workers) -> Estimator:
@@ -77,6 +114,10 @@ class Estimator:
         other = copy(self)
         other._decoder = replace(self._decoder, workers=workers)
         return other
+
+    def evidence(self, wanted: Evidence) -> Evidence:
+        """What poses are estimated from: as wanted, or silhouettes alone as in the paper."""
+        return "silhouette" if self.method == "paper" else wanted
 
     def estimate(
         self,
@@ -102,6 +143,7 @@ class Estimator:
             If the images or boxes cannot be used.
         """
         job = job or Job()
+        evidence = self.evidence(evidence)
         unseen = upload.mask is not None and evidence == "silhouette" and not shown
         job.some_suffice = upload.mask is None and upload.boxes is None
         decoded = self.decode(upload, job, blank=unseen)
@@ -138,8 +180,10 @@ class Estimator:
         with job.stage("describe"):
             normalised = job.map(normalise_person, people)
 
+        match = match_nearest if self.method == "paper" else match_silhouette
+
         def fitted(pair: tuple[Person, NormalisedPerson | None]) -> Person:
-            return fit_poses(self.index, *pair, camera, n, outlines)
+            return fit_poses(self.index, *pair, camera, n, outlines, match)
 
         with job.stage("search"):
             return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
@@ -175,17 +219,18 @@ def fit_poses(
     camera: PinholeCamera,
     n: int,
     outlines: int | None = None,
+    match: Callable[..., Match] = match_silhouette,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette.
 
-    See :meth:`Estimator.fit`.
+    See :meth:`Estimator.fit`. ``match`` is what finds them from a silhouette alone.
     """
     if normalised is None:
         return person
     landmarks = normalised.normalised_landmarks()
     silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
     if landmarks is None:
-        found = match_silhouette(index, silhouette, n, roll_deg=roll_deg)
+        found = match(index, silhouette, n, roll_deg=roll_deg)
     else:
         found = match_landmarks(
             index,
@@ -254,6 +299,8 @@ def load_estimator(
 ) -> Estimator:
     """Load the networks and the index, by default from the folder in the settings.
 
+    With the method ``paper`` in the settings, no network is loaded.
+
     Without settings, those of the environment apply, as for the service.
 
     Raises
@@ -264,17 +311,22 @@ def load_estimator(
         If a network file shipped with the package is missing or has been modified.
     """
     settings = settings or Settings()
-    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
-        models = pool.submit(load_models, settings.concurrency)
-        index = read_index() if read_index else load_index(settings.index)
-    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
-    return Estimator(
-        index,
-        models.result(),
+    estimator_of = partial(
+        Estimator,
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,
     )
+    if settings.method == "paper":
+        plain = partial(load_index, settings.index, reranked=False, in_bytes=False)
+        index = read_index() if read_index else plain()
+        match_nearest(index, index.silhouette(0), 1)
+        return estimator_of(index, NoNetworks()).by("paper")
+    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
+        models = pool.submit(load_models, settings.concurrency)
+        index = read_index() if read_index else load_index(settings.index)
+    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
+    return estimator_of(index, models.result())
 
 
 def load_models(concurrency: int) -> Models:

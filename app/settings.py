@@ -20,6 +20,10 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 # Kubernetes sets such variables in all containers of a namespace with a service called "pose".
 _KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
+Method = Literal["networks", "paper"]
+"""How people are found and poses estimated: by networks, which also read landmarks, or as in the
+paper, by HOG and silhouettes alone."""
+
 _Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -55,6 +59,11 @@ class Settings(BaseSettings):
         default=None,
         description="Milvus that searches the index, `http://host:19530`; see "
         "[an index in Milvus](#an-index-in-milvus).",
+    )
+    method: Method = Field(
+        default="networks",
+        description="`networks`, or `paper`: by default, requests are answered by the paper's "
+        "method, and no network is loaded.",
     )
     min_person_px: int | None = Field(
         default=None,

@@ -47,6 +47,10 @@ COMMANDS = {
         "scripts.training.fit_people",
         "fit detection scores and confidence to photographs",
     ),
+    "fit-paper": (
+        "scripts.training.fit_paper",
+        "fit confidence and detection score of the paper's method",
+    ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),

@@ -39,6 +39,9 @@ RELIABILITY = ("cameras", "overload", "fuzz", "soak")
 NAMES = {
     "both_networks_and_hog": "both networks and HOG",
     "movenet_alone": "MoveNet alone",
+    "hog": "HOG alone, over many scales (`method=paper`)",
+    "paper_method": "the paper's method",
+    "paper_method_network_silhouettes": "the paper's method, silhouettes by the network",
     "low": f"low: {', '.join(LOW)}",
     "paper": "paper's descriptor",
     "paper_nearest": "paper's descriptor",

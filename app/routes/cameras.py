@@ -27,7 +27,7 @@ from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, NoQuery, TrackQuery, hypotheses_of
+from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving import run_frame, runtime_of
@@ -105,7 +105,7 @@ async def track_frame(
     runtime = runtime_of(request)
     with _kept():
         runtime.sessions.check_kept()
-    estimator, sessions = runtime.ready_estimator(), runtime.sessions
+    estimator, sessions = estimator_for(runtime.ready_estimator(), query), runtime.sessions
     upload, times = query.of(frame.upload), [frame.timestamp, query.seconds(), query.timestamp]
     given = [time for time in times if time is not None]
     if len(given) > 1:

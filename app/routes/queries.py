@@ -23,6 +23,8 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import invalid
 from app.messages import NUMBER, WHOLE_NUMBER, expected_name
+from app.photograph import Estimator, MethodError
+from app.settings import Method
 from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
@@ -68,9 +70,19 @@ _Evidence = Annotated[
     Evidence,
     Field(
         description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
-        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
-        "which is fastest.",
+        "with them which way a person faces; `silhouette`: the silhouette alone, which is fastest.",
         examples=["photograph"],
+    ),
+]
+_Method = Annotated[
+    Method | None,
+    Field(
+        description="`networks`: networks find people and read keypoints; `paper`: the method of "
+        "Atrevi et al. (2016), people by HOG, silhouettes by GrabCut, and the entries nearest to "
+        "them in the order of their distances, which takes no network and goes with "
+        "`evidence=silhouette` alone. By default the method of the service, `networks` unless "
+        "`POSE_METHOD` says otherwise.",
+        examples=["networks"],
     ),
 ]
 _Joints = Annotated[
@@ -139,6 +151,7 @@ class OverlayQuery(_CameraQuery):
 
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
 
 
 class PoseQuery(_CameraQuery):
@@ -147,6 +160,7 @@ class PoseQuery(_CameraQuery):
     n: _HypothesisCount = DEFAULT_HYPOTHESES
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
     silhouettes: Annotated[
         SilhouetteForm,
         Field(
@@ -175,6 +189,8 @@ class PoseQuery(_CameraQuery):
 
 class SilhouetteQuery(_Query):
     """Query parameters of a label image."""
+
+    method: _Method = None
 
     view: bool = Field(
         default=False,
@@ -225,6 +241,7 @@ class SequenceQuery(_CameraQuery):
     n: _HypothesisCount = DEFAULT_HYPOTHESES
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
     joints: _Joints = "full"
     stride: Annotated[
         int,
@@ -236,6 +253,20 @@ class SequenceQuery(_CameraQuery):
     def form(self) -> ReplyForm:
         """The form of the reply."""
         return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
+
+
+def estimator_for(
+    estimator: Estimator, query: OverlayQuery | PoseQuery | SilhouetteQuery | SequenceQuery
+) -> Estimator:
+    """Return the estimator of the method that a query asks for; a 422 if there is none."""
+    try:
+        chosen = estimator.by(query.method)
+    except MethodError as error:
+        raise invalid("method", str(error)) from None
+    given = getattr(query, "evidence", None) if "evidence" in query.model_fields_set else None
+    if given is not None and given != chosen.evidence(given):
+        raise invalid("evidence", f"expected silhouette with the paper's method, got {given}")
+    return chosen
 
 
 def hypotheses_of(query: TrackQuery | SequenceQuery) -> int:

@@ -20,7 +20,7 @@ from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
 from app.routes.openapi import BINARY, documented, documented_form
-from app.routes.queries import GivenOnce, SequenceQuery, hypotheses_of
+from app.routes.queries import GivenOnce, SequenceQuery, estimator_for, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
 from app.tracking.results import TrackedFrame
@@ -125,7 +125,7 @@ async def analyse_sequence(
     most = runtime.settings.max_sequence_frames
     if query.max_frames is not None and query.max_frames > most:
         raise invalid("max_frames", f"expected at most {most}, got {query.max_frames}")
-    estimator, metrics = runtime.ready_estimator(), runtime.metrics
+    estimator, metrics = estimator_for(runtime.ready_estimator(), query), runtime.metrics
     run = VideoRun(
         CameraSession(estimator),
         runtime.executor,

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from app.networks.shipped import constants_of
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
+from app.vision.detectors.hog import PERSON_PX, hog_margin
 from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
-from app.vision.rescoring import PERSON_PX, ObjectNetwork, hog_margin
+from app.vision.rescoring import ObjectNetwork
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3

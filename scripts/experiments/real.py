@@ -33,10 +33,11 @@ from scripts.datasets import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import measure_detection
+from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
     BOTH,
     LIMBS_RIGHT_BELOW_PX,
+    PAPER,
     WAYS,
     Trial,
     cross_validated,
@@ -79,7 +80,10 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     own = cross_validated(street[BOTH])
     frames = read_vtest(folder / "vtest")
     return {
-        "detection": measure_detection(photographs, detector),
+        "detection": {
+            "hog": measure_hog(photographs),
+            **measure_detection(photographs, detector),
+        },
         "silhouettes": measure_silhouettes(photographs, estimator),
         "street": by_half(street),
         "pose2sim": pose2sim,
@@ -92,6 +96,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             "street_people": stated_and_met(own),
             "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
             "pose2sim": stated_and_met(videos),
+            "street_people_paper": stated_and_met(street[PAPER]),
         },
     }
 

@@ -40,18 +40,6 @@ def scores_of(
 
 
 @pytest.fixture(scope="session")
-def walkers() -> list[Box]:
-    """The three walkers of `street`, marked by hand."""
-    return [Box(28, 43, 32, 76), Box(135, 162, 40, 105), Box(227, 147, 40, 104)]
-
-
-@pytest.fixture(scope="session")
-def far_walkers() -> list[Box]:
-    """The two people at the upper edge of `street`, marked by hand."""
-    return [Box(207, 0, 24, 55), Box(232, 0, 24, 57)]
-
-
-@pytest.fixture(scope="session")
 def movenet() -> MoveNet:
     return MoveNet(file_of("movenet"))
 
