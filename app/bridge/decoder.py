@@ -4,6 +4,7 @@ The bridge holds passwords, and a stream may be hostile.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -63,14 +64,11 @@ class Decoder:
         UnreadableError
             If the source, or the rest of it, cannot be read.
         """
-        while (head := json.loads(self._line())).get("end", "") == "":
-            if "timestamp" not in head or head["width"] * head["height"] > _MAX_PIXELS:
-                raise UnreadableError("a frame that is too large")
-            pixels = np.empty((head["height"], head["width"], 3), np.uint8)
+        while (head := _head(self._line())) is not None:
+            elapsed_s, height, width = head
+            pixels = np.empty((height, width, 3), np.uint8)
             self._fill(pixels.data.cast("B"))
-            yield head["timestamp"], pixels
-        if head["end"] is not None:
-            raise UnreadableError(head["end"])
+            yield elapsed_s, pixels
 
     def close(self) -> None:
         """End the process, and say what it complained about."""
@@ -101,3 +99,27 @@ class Decoder:
             if not count:
                 raise UnreadableError("one that the decoder gave up on")
             buffer = buffer[count:]
+
+
+def _head(line: bytes) -> tuple[float, int, int] | None:
+    """Seconds, rows and columns of a frame that a decoder announces; None at the end.
+
+    The decoder is trusted with nothing: a hostile stream may have taken it over.
+    """
+    try:
+        head = json.loads(line)
+        end = head.get("end", "")
+        sizes = [head.get(name, 0) for name in ("height", "width")]
+        height, width = (
+            size if type(size) is int and size > 0 else _MAX_PIXELS + 1 for size in sizes
+        )
+        elapsed_s = float(head.get("timestamp", 0.0))
+    except (ValueError, TypeError, AttributeError):
+        raise UnreadableError("one that the decoder does not describe") from None
+    if end is None:
+        return None
+    if end:
+        raise UnreadableError(str(end))
+    if height * width > _MAX_PIXELS or not math.isfinite(elapsed_s):
+        raise UnreadableError("a frame that is too large")
+    return elapsed_s, height, width

@@ -112,7 +112,7 @@ class Video:
         # The fields of HEVC come one by one, as pictures of half the height.
         for picture in pictures if codec.name == "hevc" else _deinterlaced(pictures):
             timestamp, number, count = clock.timestamp(picture.time), count, count + 1
-            if number % stride == 0 and timestamp >= due_s:
+            if number % stride == 0 and timestamp + MIN_STEP_S >= due_s:
                 due_s = max(due_s + interval_s, timestamp)
                 _check_size(picture.width, picture.height, max_pixels)
                 aspect, pixels = self._aspect(picture), self._upright(picture)
