@@ -76,7 +76,7 @@ MOVED = {"watch-camera": "`silhouette-pose-watch` or `python -m app.bridge`"}
 _SMALLER = {
     "track_video": (".venv", ".venv/.stamp"),
     "load": (".venv-dev", ".venv-dev/.stamp"),
-    "mutants": (".venv-dev", "mutants"),
+    "mutants": (".venv-dev", ".venv-dev/.stamp"),
 }
 """Environments of gigabytes less than ``.venv-build`` that have what some modules need, and the
 targets of make that install it."""

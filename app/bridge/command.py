@@ -71,7 +71,7 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
         work = (outbox, closing, name, *calls)
         threading.Thread(target=deliver, args=work, daemon=True).start()
     bridge = Bridge(Camera(options.url, options.camera_id, options.api_key), outbox, home_assistant)
-    source = Source(options.source)
+    source = Source(options.source, options.fps)
     watching = ThreadPoolExecutor(1).submit(bridge.watch, source, options.fps, stopping)
     while not signals and (not watching.done() or (not watching.exception() and len(outbox))):
         time.sleep(_POLL_S)

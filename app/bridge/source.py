@@ -1,11 +1,10 @@
 """The newest frame of a file, a device or a stream."""
 
-import asyncio
 import math
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing, nullcontext
+from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,10 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bridge.common import Trouble, say
-from app.video.reader import VideoError, open_video
+from app.bridge.decoder import Decoder
+from app.video.frames import UnreadableError
 
-# More than any camera has, and for ever.
-_MAX_PIXELS, _MAX_SECONDS = 2**26, 2**31 - 2
 # A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
 # that is earlier than the last begins anew, so none is refused for being late.
 _CLOCK_SET_S = 6.0
@@ -35,10 +33,10 @@ class Frame(NamedTuple):
 
 
 class Source:
-    """Reads frames in a thread of its own and keeps only the newest."""
+    """Reads up to ``fps`` frames a second in a thread of its own and keeps only the newest."""
 
-    def __init__(self, source: str) -> None:
-        self._source = source
+    def __init__(self, source: str, fps: float = math.inf) -> None:
+        self._source, self._interval_s = source, 1 / fps
         self.is_file = Path(source).is_file()
         self._newest: Frame | None = None
         self._number = 0
@@ -64,9 +62,9 @@ class Source:
         while True:
             try:
                 self._read_once()
-            except VideoError as error:
+            except UnreadableError as error:
                 if self.is_file:
-                    say(str(error))
+                    say(f"expected a whole video, got {error}")
             if self.is_file:
                 break
             # Its address may hold a password, anywhere.
@@ -111,15 +109,6 @@ class Source:
                 yield 0.0, np.asarray(read[1], np.uint8)
             device.release()
             return
-        # The bridge holds passwords, and a stream may be hostile: another process decodes it.
-        with (
-            Path(self._source).open("rb") if self.is_file else nullcontext(self._source) as source,
-            closing(asyncio.new_event_loop()) as loop,
-        ):
-            opened = open_video(source, 1, _MAX_PIXELS, _MAX_SECONDS)
-            video = loop.run_until_complete(opened.__aenter__())
-            try:
-                while (frame := loop.run_until_complete(video.next())) is not None:
-                    yield frame.timestamp, frame.pixels
-            finally:
-                loop.run_until_complete(opened.__aexit__(None, None, None))
+        source = Path(self._source) if self.is_file else self._source
+        with closing(Decoder(source, self._interval_s)) as decoder:
+            yield from decoder.frames()

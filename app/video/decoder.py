@@ -38,6 +38,7 @@ def main() -> None:
     parser.add_argument("--stride", type=int, default=1, help="take every n-th frame")
     parser.add_argument("--max-pixels", type=int, required=True, help="of a frame")
     parser.add_argument("--max-seconds", type=int, required=True, help="of processor time")
+    parser.add_argument("--interval", type=float, default=0.0, help="least time between two frames")
     options = parser.parse_args()
     is_stream, opening = options.file is None, _OPTIONS
     source: str | BinaryIO
@@ -46,7 +47,7 @@ def main() -> None:
         try:
             source, opening = reachable(sys.stdin.readline().rstrip("\n"), STREAM_TIMEOUT_S)
         except (OSError, ValueError):  # Which may name a part of the address.
-            sys.exit("no camera answers at the address of the stream")
+            sys.exit(1)
     else:
         source = os.fdopen(options.file, "rb", buffering=0)
     os.nice(_NICENESS)
@@ -56,7 +57,7 @@ def main() -> None:
     except OSError as error:
         print(f"a video is decoded without seccomp: {error}", file=sys.stderr)
     with suppress(BrokenPipeError), os.fdopen(sys.stdout.fileno(), "wb", closefd=False) as out:
-        write_frames(source, options.stride, options.max_pixels, out, opening)
+        write_frames(source, options.stride, options.max_pixels, out, opening, options.interval)
 
 
 def write_frames(
@@ -65,8 +66,9 @@ def write_frames(
     max_pixels: int,
     out: BinaryIO,
     opening: dict[str, str] = _OPTIONS,
+    interval_s: float = 0.0,
 ) -> None:
-    """Decode a file, or a stream by its address, and write every ``stride``-th frame.
+    """Decode a file, or a stream by its address; see :meth:`app.video.frames.Video.frames`.
 
     The line before a frame's pixels has ``width``, ``height``, and the other fields of
     :class:`app.video.Frame`. The last line has ``end``: null if the video is complete,
@@ -79,7 +81,8 @@ def write_frames(
 
     try:
         timeout_s = STREAM_TIMEOUT_S if isinstance(source, str) else None
-        for frame in Video(source, opening, timeout_s).frames(stride, max_pixels):
+        video = Video(source, opening, timeout_s)
+        for frame in video.frames(stride, max_pixels, interval_s):
             fields = frame._asdict()
             height, width = fields.pop("pixels").shape[:2]
             write(width=width, height=height, **fields)

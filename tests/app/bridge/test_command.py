@@ -10,10 +10,9 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import asynccontextmanager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -28,7 +27,7 @@ from app.bridge import common as common_module
 from app.bridge import source as source_module
 from app.bridge.command import fate, run
 from app.bridge.outbox import Outbox
-from app.video.reader import VideoError
+from app.video.frames import UnreadableError
 from tests.app.bridge.cameras import MjpegCamera, RtspCamera
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
 from tests.conftest import ROOT, Server
@@ -268,28 +267,27 @@ class Shown:
 
     def __init__(self, *videos: list[float]) -> None:
         self._videos = [*videos]
-        self._times: list[float] = []
         self.silent = threading.Event()
 
-    @asynccontextmanager
-    async def open(self, *_: object) -> AsyncIterator[Shown]:
-        self._times = self._videos.pop(0)
-        yield self
+    def open(self, *_: object) -> Shown:
+        return self
 
-    async def next(self) -> SimpleNamespace:
-        if self._times:
-            pixels = np.zeros((4, 4, 3), np.uint8)
-            return SimpleNamespace(timestamp=self._times.pop(0), pixels=pixels)
+    def frames(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        for time_s in self._videos.pop(0):
+            yield time_s, np.zeros((4, 4, 3), np.uint8)
         if not self._videos:
             self.silent.set()
             threading.Event().wait()
-        raise VideoError("undecodable", "a broken one")
+        raise UnreadableError("a broken one")
+
+    def close(self) -> None:
+        pass
 
 
 def test_a_recording_plays_on_where_its_time_jumps(
     video: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    monkeypatch.setattr(source_module, "open_video", Shown([0.0, 0.1, 5000.0, 5000.1], []).open)
+    monkeypatch.setattr(source_module, "Decoder", Shown([0.0, 0.1, 5000.0, 5000.1], []).open)
     source = source_module.Source(video)
     with source._changed:
         assert source._changed.wait_for(lambda: source._ended, 10)
@@ -301,7 +299,7 @@ def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shown = Shown([0.0] * 3, [], [0.0] * 2)
-    monkeypatch.setattr(source_module, "open_video", shown.open)
+    monkeypatch.setattr(source_module, "Decoder", shown.open)
     source = source_module.Source("rtsp://camera")
     assert shown.silent.wait(10)
     assert next(source.frames(threading.Event())).number == 4
