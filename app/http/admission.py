@@ -28,8 +28,8 @@ CALLER_SHARE = 0.75
 STALLED_S = 1.0
 """An upload without data for this long makes room for another one."""
 
-REPLY_GRACE_S = 10.0
-"""So does one whose reply the client has not read in this time, a second later."""
+UNREAD_S = 10.0
+"""So does a reply that the client has not read in this time."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class _Upload:
     async def send(self, message: Message, send: Send) -> None:
         """Send a part of the reply; returns once most of it has left."""
         self.unsent = len(message.get("body", b""))
-        self._waiting_since = asyncio.get_running_loop().time() + REPLY_GRACE_S
+        self._waiting_since = asyncio.get_running_loop().time() + UNREAD_S - STALLED_S
         await send(message)
         self.unsent, self._waiting_since = 0, None
 

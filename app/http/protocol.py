@@ -332,7 +332,7 @@ class _Exchange:
         except Exception:
             log.exception("the application has not answered")
         finally:
-            if not self.is_answered:
+            if not (self.is_answered or self._is_lost):
                 self._connection.transport.abort()
 
     async def _receive(self) -> Message:
@@ -360,7 +360,7 @@ class _Exchange:
             return
         if message["type"] == "http.response.start":
             self.is_answering = True
-            headers = [*self._connection.server.default_headers, *message["headers"]]
+            headers = [*self._connection.server.default_headers, *message.get("headers", ())]
             if self._connection.is_ending:
                 headers.append((b"connection", b"close"))
             reason = _REASONS.get(message["status"], b"")

@@ -146,7 +146,8 @@ def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes)
         with httpx.Client(base_url=server.url, timeout=30) as client:
             for caller in ("127.0.0.1", "10.9.9.9"):
                 headers = {"X-Forwarded-For": caller}
-                answer = client.post("/sequence?max_frames=1", files={"video": video}, headers=headers)
+                files = {"video": video}
+                answer = client.post("/sequence?max_frames=1", files=files, headers=headers)
                 assert parse(answer)[1].frames == 1
 
 

@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.server import ServerState
 
 from app.http.protocol import HttpProtocol
+from app.http.routing import request_state
 
 pytestmark = pytest.mark.anyio
 
@@ -314,6 +315,32 @@ async def test_an_application_learns_that_a_client_sends_no_more_before_it_answe
         assert not told.is_set()
         await told.wait()
         assert await reader.read() == b""
+
+
+async def test_a_request_is_finished_when_the_service_is_stopped() -> None:
+    told, state = asyncio.Event(), ServerState()
+
+    async def slow(scope: Scope, receive: Receive, send: Send) -> None:
+        while not request_state(scope).is_ending:
+            await asyncio.sleep(0.01)
+        told.set()
+        await DONE(scope, receive, send)
+
+    config = uvicorn.Config(slow, http=Hasty, log_config=None)
+    config.load()
+    server = await asyncio.get_running_loop().create_server(
+        lambda: Hasty(config, state, {}), "127.0.0.1", 0
+    )
+    async with server, asyncio.timeout(10):
+        pairs = [await asyncio.open_connection(*server.sockets[0].getsockname()) for _ in "ab"]
+        pairs[0][1].write(HEAD + b"\r\n")
+        while not state.tasks:
+            await asyncio.sleep(0.01)
+        for open_connection in tuple(state.connections):
+            open_connection.shutdown()
+        assert b"connection: close" in await pairs[0][0].read()
+        assert await pairs[1][0].read() == b""
+        assert told.is_set()
 
 
 async def test_half_a_request_is_not_answered() -> None:

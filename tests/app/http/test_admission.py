@@ -170,7 +170,7 @@ async def test_replies_that_are_not_read_count_and_make_room(
 ) -> None:
     """Of 300 bytes together, 225 for one caller: after two of 100 bytes, none of 90 has room."""
     hung_up: list[str] = []
-    monkeypatch.setattr("app.http.admission.REPLY_GRACE_S", 0.0)
+    monkeypatch.setattr("app.http.admission.UNREAD_S", 1.0)
 
     async def replying(scope: Scope, receive: Receive, send: Send) -> None:
         await receive()
