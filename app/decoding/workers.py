@@ -90,7 +90,7 @@ class Workers:
             except Empty:
                 checkpoint()
         try:
-            worker = self._idle.pop() if self._idle else _Worker(self._max_bytes, checkpoint)
+            worker = self._idle.pop() if self._idle else _Worker(self._max_bytes)
             asked = {"is_mask": is_mask, "max_pixels": max_pixels}
             try:
                 return worker.decode(data, asked, allowance, checkpoint)
@@ -111,8 +111,9 @@ class Workers:
 class _Worker:
     """A process that runs :mod:`app.decoding.worker`."""
 
-    def __init__(self, max_bytes: int, checkpoint: Checkpoint) -> None:
-        self.is_usable = False
+    def __init__(self, max_bytes: int) -> None:
+        self.is_usable = True
+        self._is_ready = False
         self._seconds = 0.0
         self._process = subprocess.Popen(
             [
@@ -131,20 +132,13 @@ class _Worker:
         assert self._process.stdout is not None
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
         os.set_blocking(self._in, False)
-        try:
-            missing = self._answer(0, checkpoint)[0]["missing"]
-        except BaseException as error:
-            self.end()
-            if isinstance(error, EOFError):
-                raise RuntimeError("the program that decodes pictures does not start") from None
-            raise
-        if missing:
-            log.warning("pictures are decoded without seccomp: %s", missing)
 
     def decode(
         self, data: bytes, asked: dict[str, Any], allowance: Allowance, checkpoint: Checkpoint
     ) -> Decoded:
         """Decode a picture; unless the process is usable afterwards, it must be ended."""
+        if not self._is_ready:
+            self._wait_until_ready(checkpoint)
         self.is_usable = False
         head = json.dumps(asked | {"max_seconds": allowance.seconds}).encode()
         try:
@@ -172,6 +166,18 @@ class _Worker:
         self._process.kill()
         with self._process:
             pass
+
+    def _wait_until_ready(self, checkpoint: Checkpoint) -> None:
+        """Read the first answer; a process that is late with it is ready for the next picture."""
+        self._wait_for(self._out, select.POLLIN, checkpoint)
+        try:
+            missing = self._answer(0, checkpoint)[0]["missing"]
+        except EOFError:
+            self.is_usable = False
+            raise RuntimeError("the program that decodes pictures does not start") from None
+        if missing:
+            log.warning("pictures are decoded without seccomp: %s", missing)
+        self._is_ready = True
 
     def _limit_memory(self, size: int) -> None:
         if sys.platform == "linux":

@@ -163,6 +163,20 @@ def test_a_late_process_is_ended(workers: Workers) -> None:
     assert decode(workers, saved("BMP", quadrants()))[0].shape == (40, 60, 3)
 
 
+def test_a_process_that_starts_late_is_there_for_the_next_picture() -> None:
+    workers, data = Workers(1, 2**24, MAX_PIXELS), saved("BMP", quadrants())
+
+    def checkpoint() -> None:
+        raise GoneError
+
+    with pytest.raises(GoneError):
+        decode(workers, data, checkpoint=checkpoint)
+    process = process_of(workers)
+    assert decode(workers, data)[0].shape == (40, 60, 3)
+    assert process_of(workers) == process
+    workers.close()
+
+
 def test_callers_share_the_processes() -> None:
     workers, data = Workers(2, 2**24, MAX_PIXELS), saved("GIF", quadrants())
     with ThreadPoolExecutor(5) as threads:

@@ -74,7 +74,7 @@ def test_scans_that_change_nothing_are_refused(is_progressive: bool) -> None:
     with pytest.raises(ImageError, match=r"got a JPEG of 10\d\d scans, more than 32"):
         decode_image(jpeg(1000, (64, 64), progressive=is_progressive), max_pixels=LIMIT)
     # A marker that decoders do not know, or find elsewhere than in a segment, hides no scans.
-    one = jpeg(1, (64, 64), progressive=is_progressive)
+    one = jpeg(2, (64, 64), progressive=is_progressive)
     place = one.rindex(SCAN)
     hidden = one[:place] + b"\xff\x02\xff\xff" + one[place:-2] * 100
     with pytest.raises(ImageError, match="scans"):
