@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.estimation.posture import as_standing, likeliest_posture, shares_of
@@ -111,6 +112,8 @@ class Estimator:
         with job.stage("decode"):
             decoded = self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
+        if decoded.mask is not None:
+            check_bodies(decoded.mask, self.index)
         return decoded
 
     def fit(
