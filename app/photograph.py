@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from app.decoding.workers import Workers
+from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.estimation.posture import as_standing, likeliest_posture, shares_of
@@ -162,6 +163,8 @@ class Estimator:
         with job.stage("decode"):
             decoded = self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
+        if decoded.mask is not None:
+            check_bodies(decoded.mask, self.index)
         return decoded
 
     def fit(

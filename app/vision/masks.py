@@ -98,11 +98,28 @@ def decode_mask(
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):
         lossy = is_lossy(header, data)
-        image = LabelImage.of(_values(data, header, lossy))
-        if image.present:
-            image = _labels_of_bodies(image, lossy)
-        _check_scatter(image)
-        return _of_figures(image)
+        return _checked(_values(data, header, lossy), lossy)
+
+
+def mask_of(values: NDArray[np.bool_] | NDArray[np.integer]) -> LabelImage:
+    """The same of an array ``(H, W)`` of booleans or whole numbers."""
+    if values.dtype not in (np.uint8, np.uint16):
+        if values.min() < 0 or values.max() > _MAX_LABEL:
+            got = f"{values.min()} to {values.max()}"
+            raise ImageError(f"expected labels from 0 to {_MAX_LABEL}, got {got}")
+        values = values.astype(np.uint16)
+    return _checked(np.array(values), lossy=False)
+
+
+_MAX_LABEL = 2**16 - 1
+
+
+def _checked(labels: Labels, lossy: bool) -> LabelImage:
+    image = LabelImage.of(labels)
+    if image.present:
+        image = _labels_of_bodies(image, lossy)
+    _check_scatter(image)
+    return _of_figures(image)
 
 
 _LOSSY_CHANNEL_DIFFERENCE = 16  # Channels of a lossy grey image differ by up to this.
