@@ -28,6 +28,7 @@ from app.estimation.finder import Cut, Models, PeopleFinder
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
+from app.settings import Segmenter
 from app.vision.background import cut_out_changed, foreground
 from app.vision.detector import MIN_DETECTION_SCORE
 from app.vision.detectors.hog import HogDetector
@@ -100,10 +101,14 @@ class NoNetworks(Models):
 
 @dataclass(frozen=True, kw_only=True)
 class PaperFinder(PeopleFinder):
-    """Finds the people of a frame, with their silhouettes, as in the paper."""
+    """Finds the people of a frame, with their silhouettes, as in the paper.
+
+    With the segmenter ``network``, the masks of the landmark network cut out whom HOG detects.
+    """
 
     index: PoseIndex
     models: Models = field(default_factory=NoNetworks)
+    segmenter: Segmenter = "grabcut"
 
     @cached_property
     def _shape(self) -> NDArray[np.float64]:
@@ -134,6 +139,8 @@ class PaperFinder(PeopleFinder):
         source: Source = "detector" if upload.boxes is None else "boxes"
         marked = [Detection(box, 1.0) for box in upload.boxes or ()]
         found = marked if source == "boxes" else self.search(upload.frame, job)[0]
+        if self.segmenter == "network" and upload.background is None:
+            return source, found, [], None
         cut = partial(
             extract_silhouettes,
             upload.frame,

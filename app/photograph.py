@@ -22,7 +22,7 @@ from app.networks.shipped import constants_of, file_of
 from app.paper import NoNetworks, PaperFinder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.settings import Method, Settings
+from app.settings import Method, Segmenter, Settings
 from app.tracking import actions, falls
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
@@ -45,7 +45,15 @@ from index.store import PoseIndex
 
 
 class MethodError(ValueError):
-    """A method needs networks that were not loaded; the message is one sentence."""
+    """A method cannot be used; the message is one sentence, ``field`` names the faulty choice."""
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(message)
+        self.field = field
+
+
+_SEGMENTERS: dict[Method, Segmenter] = {"networks": "network", "paper": "grabcut"}
+"""What cuts people out by default."""
 
 
 class Estimator:
@@ -72,49 +80,76 @@ class Estimator:
         self.index = index
         self.models = models
         self.method: Method = "networks"
+        self.segmenter: Segmenter = "network"
         self._decoder = UploadDecoder(max_pixels, max_persons)
         self.finder = PeopleFinder(models, min_person_px, max_persons)
-        self._paper = self._by_paper()
+        self._base = self
+        self._variants = self._all_variants()
 
     def with_index(self, index: PoseIndex) -> Estimator:
-        """Return an estimator with the same models and another index."""
-        other = copy(self)
-        other.index = index
-        other._paper = other._by_paper()
-        return other.by(self.method)
+        """Return an estimator with the same models and method, and another index."""
+        return self._with(index=index)
 
-    def by(self, method: Method | None) -> Estimator:
-        """Return the estimator of a method over the same index; by default, this one.
+    def by(self, method: Method | None = None, segmenter: Segmenter | None = None) -> Estimator:
+        """Return the estimator of a method over the same index; by default, of this one's.
+
+        The segmenter is what cuts people out where the caller gives no mask and no background; by
+        default the method's own.
 
         Raises
         ------
         MethodError
-            If the method needs networks that were not loaded.
+            If there is no such method, or it needs networks that were not loaded.
         """
-        if method is None or method == self.method:
-            return self
-        if method == "paper":
-            return self._paper
-        raise MethodError("expected paper, since this service has loaded no network, got networks")
+        method = method or self.method
+        found = self._variants.get((method, segmenter or _SEGMENTERS[method]))
+        if found is not None:
+            return found
+        if method == "networks" and segmenter == "grabcut":
+            raise MethodError("segmenter", "expected network with method=networks, got grabcut")
+        field = "method" if method == "networks" else "segmenter"
+        raise MethodError(
+            field,
+            f"expected {'paper' if field == 'method' else 'grabcut'}, since this service has "
+            "loaded no network",
+        )
 
-    def _by_paper(self) -> Estimator:
-        """The estimator of the paper's method; see :mod:`app.paper`."""
+    def _all_variants(self) -> dict[tuple[Method, Segmenter], Estimator]:
+        """The estimators of all methods that the models allow."""
+        variants: dict[tuple[Method, Segmenter], Estimator] = {
+            ("paper", "grabcut"): self._by_paper("grabcut")
+        }
+        if not isinstance(self.models, NoNetworks):
+            variants["networks", "network"] = self
+            variants["paper", "network"] = self._by_paper("network")
+        for one in variants.values():
+            one._variants = variants
+        return variants
+
+    def _by_paper(self, segmenter: Segmenter) -> Estimator:
+        """An estimator by the paper's method; see :mod:`app.paper`."""
         other = copy(self)
-        other.method = "paper"
-        other.models = NoNetworks()
+        other.method, other.segmenter = "paper", segmenter
+        if segmenter == "grabcut":
+            other.models = NoNetworks()
         other.finder = PaperFinder(
             index=self.index,
+            models=other.models,
             min_person_px=self.finder.min_person_px,
             max_persons=self.finder.max_persons,
+            segmenter=segmenter,
         )
-        other._paper = other
         return other
 
     def with_workers(self, workers: Workers) -> Estimator:
         """Return an estimator with the same models that has expensive images decoded by workers."""
-        other = copy(self)
-        other._decoder = replace(self._decoder, workers=workers)
-        return other
+        return self._with(_decoder=replace(self._decoder, workers=workers))
+
+    def _with(self, **changed: object) -> Estimator:
+        """The same, by any method, with changed attributes."""
+        base = copy(self._base)
+        vars(base).update(changed, _base=base)
+        return base._all_variants()[self.method, self.segmenter]
 
     def evidence(self, wanted: Evidence) -> Evidence:
         """What poses are estimated from: as wanted, or silhouettes alone as in the paper."""

@@ -24,6 +24,9 @@ Method = Literal["networks", "paper"]
 """How people are found and poses estimated: by networks, which also read landmarks, or as in the
 paper, by HOG and silhouettes alone."""
 
+Segmenter = Literal["network", "grabcut"]
+"""What cuts people out of a frame where neither a mask nor a background does."""
+
 _Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 

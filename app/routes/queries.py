@@ -24,7 +24,7 @@ from app.estimation.upload import Upload
 from app.http.errors import invalid
 from app.messages import NUMBER, WHOLE_NUMBER, expected_name
 from app.photograph import Estimator, MethodError
-from app.settings import Method
+from app.settings import Method, Segmenter
 from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
@@ -83,6 +83,14 @@ _Method = Annotated[
         "`evidence=silhouette` alone. By default the method of the service, `networks` unless "
         "`POSE_METHOD` says otherwise.",
         examples=["networks"],
+    ),
+]
+_Segmenter = Annotated[
+    Segmenter | None,
+    Field(
+        description="What cuts people out where neither a mask nor a background does: `network`, "
+        "or, with `method=paper`, `grabcut`, which is its default.",
+        examples=["network"],
     ),
 ]
 _Joints = Annotated[
@@ -152,6 +160,7 @@ class OverlayQuery(_CameraQuery):
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
     method: _Method = None
+    segmenter: _Segmenter = None
 
 
 class PoseQuery(_CameraQuery):
@@ -161,6 +170,7 @@ class PoseQuery(_CameraQuery):
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
     method: _Method = None
+    segmenter: _Segmenter = None
     silhouettes: Annotated[
         SilhouetteForm,
         Field(
@@ -191,6 +201,7 @@ class SilhouetteQuery(_Query):
     """Query parameters of a label image."""
 
     method: _Method = None
+    segmenter: _Segmenter = None
 
     view: bool = Field(
         default=False,
@@ -242,6 +253,7 @@ class SequenceQuery(_CameraQuery):
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
     method: _Method = None
+    segmenter: _Segmenter = None
     joints: _Joints = "full"
     stride: Annotated[
         int,
@@ -260,9 +272,9 @@ def estimator_for(
 ) -> Estimator:
     """Return the estimator of the method that a query asks for; a 422 if there is none."""
     try:
-        chosen = estimator.by(query.method)
+        chosen = estimator.by(query.method, query.segmenter)
     except MethodError as error:
-        raise invalid("method", str(error)) from None
+        raise invalid(error.field, str(error)) from None
     given = getattr(query, "evidence", None) if "evidence" in query.model_fields_set else None
     if given is not None and given != chosen.evidence(given):
         raise invalid("evidence", f"expected silhouette with the paper's method, got {given}")

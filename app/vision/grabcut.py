@@ -22,9 +22,9 @@ _LARGEST_PX = 192
 # The background that is learned from, around the box, as a share of its longer side.
 _MARGIN = 0.15
 # Probabilities of a person's pixel from which the pixel certainly, or perhaps, is the person's, and
-# below which it certainly is not. Chosen on 60 rendered people in boxes as inexact as HOG's: with
+# below which it certainly is not. Chosen on rendered people in boxes as inexact as HOG's: with
 # less certainty, GrabCut keeps one garment of a person in two colours.
-_SURE, _LIKELY, _NEVER = 0.7, 0.35, 0.01
+_SURE, _LIKELY, _NEVER = 0.8, 0.35, 0.01
 _ROUNDS = 2
 _MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
 _MAX_HOLE = 0.02  # Area relative to the mask; larger holes stay.

@@ -111,7 +111,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ("roll_deg=20", "roll_deg: expected a multiple of 90, got '20'"),
             ("roll_deg=left", "a number, got 'left'"),
         )),
-        ("/silhouette?n=3", form(frame=FRAME), "n", "one of the query parameters method, view"),
+        ("/silhouette?n=3", form(frame=FRAME), "n", "one of the query parameters method, segm"),
         ("GET /index/entries/3?keypoint=coco17", {}, "keypoint", ""),
         ("GET /index/entries/1.0", {}, "entry", "whole number"),
         (DEEPSTACK, form(api_key="any"), "image", "image: expected an image file, got none"),

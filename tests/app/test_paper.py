@@ -85,7 +85,8 @@ def test_asked_of_an_estimator_with_networks_the_answer_is_the_same(
     paper: Estimator, estimator: Estimator
 ) -> None:
     asked = estimator.by("paper")
-    assert asked is estimator.by("paper").by("paper")
+    assert asked is estimator.by("paper").by()
+    assert asked.by("networks") is estimator
     first, second = (one.estimate(Upload(STREET)).persons for one in (paper, asked))
     assert [one.box for one in first] == [one.box for one in second]
     for one, other in zip(first, second, strict=True):
@@ -93,11 +94,23 @@ def test_asked_of_an_estimator_with_networks_the_answer_is_the_same(
 
 
 def test_without_networks_there_is_no_other_method(paper: Estimator) -> None:
-    assert paper.by(None) is paper is paper.by("paper")
+    assert paper.by() is paper is paper.by("paper")
     with pytest.raises(MethodError, match="no network"):
         paper.by("networks")
+    with pytest.raises(MethodError, match="no network"):
+        paper.by("paper", "network")
     with pytest.raises(AttributeError, match="no network"):
         _ = paper.models.detector
+
+
+def test_a_network_cuts_people_out_if_it_is_asked_to(estimator: Estimator) -> None:
+    persons = estimator.by("paper", "network").estimate(Upload(STREET)).persons
+    segmenters = {one.silhouette.segmenter for one in persons if one.silhouette}
+    assert segmenters == {"network"}
+    assert len(persons) >= 3
+    assert all(one.landmarks is None and one.hypotheses for one in persons)
+    with pytest.raises(MethodError, match="expected network"):
+        estimator.by("networks", "grabcut")
 
 
 def test_another_index_keeps_the_method(
