@@ -1,4 +1,4 @@
-"""Run experiments, and write figures and page of each into ``docs/results``.
+"""Run experiments; print the page of each, and write it and its figures into ``docs/results``.
 
     python -m scripts evaluate paper        the experiments of Atrevi et al. (2016)
     python -m scripts evaluate simulation   bodies, clips and views that the index never saw
@@ -25,7 +25,7 @@ from scripts.figures import write
 from scripts.results import RESULTS, SHARED
 
 EXPERIMENTS = {
-    "paper": "paper-noise",
+    "paper": "paper",
     "simulation": "simulation",
     "real": "real",
     "people": "people",
@@ -74,4 +74,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if figures is not None:
             command = f"python -m scripts evaluate {name}"
             write(options.out, EXPERIMENTS[name], command, figures)
+            print((options.out / f"{EXPERIMENTS[name]}.md").read_text())
         print(f"{name} took {(time.monotonic() - started) / 60:.1f} minutes")
