@@ -1,6 +1,7 @@
 """Run experiments; print the page of each, and write it and its figures into ``docs/results``.
 
     python -m scripts evaluate paper        the experiments of Atrevi et al. (2016)
+    python -m scripts evaluate stages       what each step adds, from the paper's path on
     python -m scripts evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts evaluate real         photographs and videos of ../shared/real
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
@@ -26,6 +27,7 @@ from scripts.results import RESULTS, SHARED
 
 EXPERIMENTS = {
     "paper": "paper",
+    "stages": "stages",
     "simulation": "simulation",
     "real": "real",
     "people": "people",

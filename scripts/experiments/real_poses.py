@@ -25,7 +25,6 @@ from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, az
 from scripts.metrics import percent
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
-WAYS = (SILHOUETTE, LANDMARKS, BOTH)
 """The evidence that hypotheses rest on."""
 
 NEAR = 0.1
@@ -133,14 +132,10 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     return estimator.fit([person], camera, DEFAULT_HYPOTHESES, Job())[0]
 
 
-def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
-    """Compare the answers about people with their references."""
-    trials = []
-    for shown in tqdm(people, desc=f"by {way}", unit="person"):
-        person = answer(estimator, shown, way)
-        if person is not None:
-            trials.append(judge(shown, person))
-    return trials
+def trials_of(people: Sequence[Shown], estimator: Estimator) -> list[Trial]:
+    """Compare the service's default answers about people with their references."""
+    answered = ((one, answer(estimator, one, BOTH)) for one in tqdm(people, unit="person"))
+    return [judge(shown, person) for shown, person in answered if person is not None]
 
 
 def judge(shown: Shown, person: Person) -> Trial:
