@@ -13,11 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from app.paper import detect_people
 from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.results import Person
+from app.paper import detect_people
 from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from index.search import ExactNeighbours
