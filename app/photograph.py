@@ -10,15 +10,19 @@ from functools import partial
 
 import numpy as np
 
+from app.decoding.workers import Workers
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.estimation.posture import as_standing, likeliest_posture, shares_of
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.networks.dense import shipped_network
+from app.networks.shipped import constants_of, file_of
 from app.paper import NoNetworks, PaperFinder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
 from app.settings import Method, Settings
+from app.tracking import actions, falls
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
@@ -26,7 +30,6 @@ from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box
 from app.vision.images import ImageWarning
 from app.vision.judgement import load_photograph_models
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
@@ -104,6 +107,12 @@ class Estimator:
             max_persons=self.finder.max_persons,
         )
         other._paper = other
+        return other
+
+    def with_workers(self, workers: Workers) -> Estimator:
+        """Return an estimator with the same models that has expensive images decoded by workers."""
+        other = copy(self)
+        other._decoder = replace(self._decoder, workers=workers)
         return other
 
     def evidence(self, wanted: Evidence) -> Evidence:
@@ -321,10 +330,10 @@ def load_estimator(
 
 
 def load_models(concurrency: int) -> Models:
-    """Load the networks that detect and read people, and the models that judge what was read.
+    """Load all that was learned: what finds, reads, judges and follows people.
 
-    Networks run once, because the first run is slow. The ``concurrency`` of frames processed at
-    once share the cores.
+    Nothing is left to be read when the first frames come. Networks run once, because the first run
+    is slow. The ``concurrency`` of frames processed at once share the cores.
 
     Raises
     ------
@@ -334,14 +343,14 @@ def load_models(concurrency: int) -> Models:
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet, small_movenet = (MoveNet(network_path("movenet"), **share) for _ in range(2))
+    movenet, small_movenet = (MoveNet(file_of("movenet"), **share) for _ in range(2))
     landmarks = LandmarkNetwork(
-        network_path("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
+        file_of("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
     )
-    masks = MaskNetwork(network_path("pose_mask"), **share)
+    masks = MaskNetwork(file_of("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(small_movenet))
-    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
-    objects = ObjectNetwork(network_path("objects"), **share)
+    pose_detection = BlazePoseDetector(file_of("pose_detection"), **share)
+    objects = ObjectNetwork(file_of("objects"), **share)
     detectors = MoveNetDetector(movenet, small_movenet), pose_detection
     detector = NetworkDetector(detectors, landmarks, objects)
     frame = np.full((240, 320, 3), 127, np.uint8)
@@ -349,4 +358,11 @@ def load_models(concurrency: int) -> Models:
     detector.detect(frame)
     detector.object_log_odds(frame, Detection(box, 0.5))
     reader.read(frame, box)
+    # Kept where they are used: a track needs no estimator.
+    falls.shipped_model()
+    actions.shipped_model()
+    for name in ("identity", "elevation"):
+        shipped_network(name)
+    for part in ("detection", "objects"):
+        constants_of(part)
     return Models(detector, reader, load_photograph_models())

@@ -129,7 +129,7 @@ class Settings(BaseSettings):
     max_sequences: int = Field(
         default=2,
         ge=1,
-        description="Most videos received or processed at once; one more gets a 503.",
+        description="Most videos processed at once, of one caller one less; one more gets a 503.",
     )
     max_video_bytes: int = Field(
         default=64 * 1024**2,

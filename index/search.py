@@ -5,6 +5,7 @@ search therefore finds entries that the other misses.
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -79,7 +80,8 @@ class ExactNeighbours:
         self._faiss: Any = empty(dimension)
         for block in _blocks(vectors):
             scaled = block * self._factor
-            self._faiss.add(scaled + _ZERO if self._in_bytes else scaled)
+            with _one_thread():
+                self._faiss.add(scaled + _ZERO if self._in_bytes else scaled)
         # FAISS takes nine times as long to decode a few vectors.
         size = self._faiss.code_size
         stored = faiss.rev_swig_ptr(self._faiss.codes.data(), len(self) * size)
@@ -123,17 +125,24 @@ class ExactNeighbours:
 def _search(
     vectors: Any, queries: NDArray[np.float32], k: int
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Search in this thread alone: with more, FAISS takes longer for few queries.
+    with _one_thread():  # With more, FAISS takes longer for few queries.
+        squared, ids = vectors.search(queries, k)
+    return squared, ids
 
-    Each thread has its own number of OpenMP threads; that of the caller is restored.
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let FAISS work in this thread alone.
+
+    A forked process would wait for ever for the OpenMP threads of its parent. Each thread has its
+    own number of them; that of the caller is restored.
     """
     threads = faiss.omp_get_max_threads()
     faiss.omp_set_num_threads(1)
     try:
-        squared, ids = vectors.search(queries, k)
+        yield
     finally:
         faiss.omp_set_num_threads(threads)
-    return squared, ids
 
 
 def _byte_index(dimension: int) -> Any:
@@ -210,7 +219,8 @@ class LandmarkSearch:
             )
         self._faiss = _byte_index(LANDMARK_DIMENSION)
         for block in _blocks(vectors):
-            self._faiss.add(block + _ZERO)
+            with _one_thread():
+                self._faiss.add(block + _ZERO)
 
     def __len__(self) -> int:
         return int(self._faiss.ntotal)

@@ -1,9 +1,11 @@
 """The newest frame of a file, a device or a stream."""
 
+import asyncio
+import math
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bridge.common import Trouble, say
-from app.video.frames import UnreadableError, Video
+from app.video.reader import VideoError, open_video
 
-STREAM_TIMEOUT_S = 10.0
+# More than any camera has, and for ever.
+_MAX_PIXELS, _MAX_SECONDS = 2**26, 2**31 - 2
 # A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
 # that is earlier than the last begins anew, so none is refused for being late.
 _CLOCK_SET_S = 6.0
@@ -61,9 +64,9 @@ class Source:
         while True:
             try:
                 self._read_once()
-            except UnreadableError as error:
+            except VideoError as error:
                 if self.is_file:
-                    say(f"expected a whole video, got {error}")
+                    say(str(error))
             if self.is_file:
                 break
             # Its address may hold a password, anywhere.
@@ -73,9 +76,10 @@ class Source:
             self._changed.notify()
 
     def _read_once(self) -> None:
-        began, last_s = time.monotonic(), 0.0
+        began, last_s = math.inf, 0.0
         for elapsed_s, pixels in self._pictures():
             moment = time.monotonic()
+            began = min(began, moment)  # With the first frame.
             if self.is_file:
                 # Play it as fast as it was filmed.
                 if elapsed_s - last_s > _JUMP_S:
@@ -107,9 +111,15 @@ class Source:
                 yield 0.0, np.asarray(read[1], np.uint8)
             device.release()
             return
-        # A file's name may look like an address. Streams over UDP lose parts of frames.
-        address = f"file:{self._source}" if self.is_file else self._source
-        options = {} if self.is_file else {"rtsp_transport": "tcp"}
-        with closing(Video(address, options, STREAM_TIMEOUT_S)) as video:
-            for frame in video.frames():
-                yield frame.timestamp, frame.pixels
+        # The bridge holds passwords, and a stream may be hostile: another process decodes it.
+        with (
+            Path(self._source).open("rb") if self.is_file else nullcontext(self._source) as source,
+            closing(asyncio.new_event_loop()) as loop,
+        ):
+            opened = open_video(source, 1, _MAX_PIXELS, _MAX_SECONDS)
+            video = loop.run_until_complete(opened.__aenter__())
+            try:
+                while (frame := loop.run_until_complete(video.next())) is not None:
+                    yield frame.timestamp, frame.pixels
+            finally:
+                loop.run_until_complete(opened.__aexit__(None, None, None))

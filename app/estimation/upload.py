@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.decoding.workers import Allowance, Workers
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
@@ -20,6 +21,7 @@ from app.vision.images import (
     Photograph,
     blank_image,
     decode_image,
+    is_expensive,
 )
 from app.vision.masks import LabelImage, decode_mask
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
@@ -133,11 +135,13 @@ class DecodedUpload:
 class UploadDecoder:
     """Decodes uploads; raises :class:`UploadError` for those that cannot be used.
 
-    Images may have ``max_pixels``; boxes or a mask may mark ``max_persons``.
+    Images may have ``max_pixels``; boxes or a mask may mark ``max_persons``. Images that may be
+    expensive are decoded by ``workers``, if there are any.
     """
 
     max_pixels: int
     max_persons: int
+    workers: Workers | None = None
 
     def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
         """Decode all images of an upload and check that they fit together.
@@ -150,7 +154,8 @@ class UploadDecoder:
             ("background", upload.background, decode_image),
         )
         sent = [image for image in images if isinstance(image[1], bytes)]
-        decoded: list[Any] = job.map(lambda image: self._decode(*image), sent)
+        allowance = Allowance()
+        decoded: list[Any] = job.map(lambda image: self._decode(job, allowance, *image), sent)
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
         photograph = _photograph(upload.frame, by_name)
@@ -188,9 +193,26 @@ class UploadDecoder:
         self._check_count("mask", len(mask.present))
         _check_together(mask)
 
-    def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
+    def _decode(
+        self, job: Job, allowance: Allowance, name: str, data: bytes, decode: Callable[..., T]
+    ) -> T | LabelImage | Photograph:
+        max_pixels, checkpoint = self.max_pixels, job.checkpoint
         try:
-            return decode(data, max_pixels=self.max_pixels)
+            if self.workers is None or not is_expensive(data):
+                return decode(data, max_pixels=max_pixels, checkpoint=checkpoint)
+            is_mask = name == "mask"
+            values, warnings = self.workers.decode(
+                data,
+                is_mask=is_mask,
+                max_pixels=max_pixels,
+                allowance=allowance,
+                checkpoint=checkpoint,
+            )
+            if is_mask:
+                return LabelImage.of(values)
+            if decode is blank_image:
+                return Photograph(np.zeros_like(values))
+            return Photograph(values, warnings)
         except ImageTooLargeError as error:
             raise UploadError(name, f"{name}: {error}", "too_large") from error
         except ImageError as error:

@@ -10,7 +10,7 @@ from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
 from app.estimation.results import Evidence
 from app.http.identity import NamesCamera, RequireKey
-from app.routes.openapi import documented
+from app.routes.openapi import BINARY, documented
 from app.routes.queries import (
     GivenOnce,
     OverlayQuery,
@@ -33,11 +33,7 @@ router = APIRouter(
 PNG: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "A PNG image; its type is always `image/png`.",
-        # openapi-python-client ignores image types.
-        "content": {
-            media_type: {"schema": {"type": "string", "format": "binary"}}
-            for media_type in ("image/png", "application/octet-stream")
-        },
+        "content": {"image/png": BINARY["application/octet-stream"], **BINARY},
     }
 }
 

@@ -48,6 +48,11 @@ Timestamp = Annotated[
     AfterValidator(_check_seconds),
 ]
 
+_Milliseconds = Annotated[
+    int,
+    Field(ge=0, le=round(1000 * LATEST_TIMESTAMP_S), json_schema_extra={"format": "int64"}),
+]
+
 _HypothesisCount = Annotated[
     int,
     Field(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),
@@ -205,6 +210,19 @@ class TrackQuery(PoseQuery):
             examples=[12.4],
         ),
     ] = None
+    timestamp_ms: Annotated[
+        _Milliseconds | None,
+        Field(
+            description="The timestamp in milliseconds instead, for clients that write fractions "
+            "with 32 bits.",
+            examples=[1795880000250],
+        ),
+        WHOLE_NUMBER,
+    ] = None
+
+    def seconds(self) -> float | None:
+        """The timestamp given in milliseconds, if there is one."""
+        return None if self.timestamp_ms is None else self.timestamp_ms / 1000
 
 
 class SequenceQuery(_CameraQuery):

@@ -21,6 +21,7 @@ _FRAME_TIMEOUT_S = 20.0
 _BUFFER_BYTES = 2**20
 _MAX_LINE_BYTES = 300
 _FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg, DV, GIF or MJPEG"
+_NEEDED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "LANG")
 # The decoder is run from here, so that it finds its modules.
 _ROOT = Path(__file__).parents[2]
 
@@ -48,27 +49,35 @@ def new_file() -> IO[bytes]:
 
 @asynccontextmanager
 async def open_video(
-    file: IO[bytes], stride: int, max_pixels: int, max_seconds: float
+    source: IO[bytes] | str, stride: int, max_pixels: int, max_seconds: float
 ) -> AsyncIterator[VideoReader]:
     """Decode every ``stride``-th frame of a video in a process that ends with the context.
 
-    A frame may have up to ``max_pixels``; decoding may take ``max_seconds`` of processor time.
+    The source is a file or the address of a stream. A frame may have up to ``max_pixels``; decoding
+    may take ``max_seconds`` of processor time.
     """
-    file.flush()
-    file.seek(0)
+    descriptors = list[int]()
+    if not isinstance(source, str):
+        source.flush()
+        source.seek(0)
+        descriptors.append(source.fileno())
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "app.video.decoder", str(file.fileno())),
+        *(sys.executable, "-m", "app.video.decoder", *map(str, descriptors)),
         *("--stride", str(stride), "--max-pixels", str(max_pixels)),
         *("--max-seconds", str(int(max_seconds) + 1)),
-        stdin=asyncio.subprocess.DEVNULL,
+        stdin=asyncio.subprocess.DEVNULL if descriptors else asyncio.subprocess.PIPE,
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
-        pass_fds=(file.fileno(),),
+        pass_fds=descriptors,
         cwd=_ROOT,
+        start_new_session=True,  # A terminal's interrupt ends its parent alone.
         # Only the decoder's first thread is confined, so it must be the only one.
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        env=_environment() | {"OPENBLAS_NUM_THREADS": "1"},
         limit=_BUFFER_BYTES,
     )
+    if process.stdin is not None and isinstance(source, str):
+        process.stdin.write(source.encode() + b"\n")
+        process.stdin.close()
     assert process.stdout is not None
     assert process.stderr is not None
     logged = asyncio.ensure_future(_log_last_line(process.stderr))
@@ -82,6 +91,11 @@ async def open_video(
             pass
         await process.wait()
         await logged
+
+
+def _environment() -> dict[str, str]:
+    """What a decoder needs of the environment, which may hold keys and passwords."""
+    return {name: value for name, value in os.environ.items() if name in _NEEDED}
 
 
 async def _log_last_line(stream: asyncio.StreamReader) -> None:

@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window
-from app.vision.tflite import TfliteNetwork
 
 _CLASSES = (
     "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
@@ -34,7 +34,7 @@ _GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
 class ObjectNetwork:
     """Distinguishes people from other objects; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

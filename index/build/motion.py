@@ -62,7 +62,7 @@ def read_rig(folder: Path) -> Rig:
     if not file.exists():
         return CMU
     try:
-        return Rig.model_validate_json(file.read_bytes())
+        return Rig.model_validate_json(file.read_text("utf-8-sig", "replace"))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the file"
@@ -139,7 +139,7 @@ def read_manifest(folder: Path) -> list[Segment]:
 
 def _read_segments(file: Path) -> list[Segment]:
     try:
-        with file.open(newline="", encoding="utf-8") as lines:
+        with file.open(newline="", encoding="utf-8-sig") as lines:
             table = csv.DictReader(lines)
             rows = [(table.line_num, row) for row in table]
     except (OSError, UnicodeDecodeError, csv.Error) as error:

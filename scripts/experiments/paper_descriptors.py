@@ -63,7 +63,7 @@ def descriptors_compared(known: NDArray[np.uint8], seed: int) -> dict[str, Descr
         "zernike": zernike_moments,
         "hahn": hahn_moments,
         "shape_context": lambda silhouettes: context_histograms(silhouettes, codebook),
-        "hog": hog,
+        "hog_of_silhouette": hog,
         "pixels": pixels,
     }
 

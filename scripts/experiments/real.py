@@ -33,9 +33,10 @@ from scripts.datasets import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import measure_detection
+from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
     LIMBS_RIGHT_BELOW_PX,
+    PAPER,
     Trial,
     cross_validated,
     cut_out,
@@ -80,7 +81,10 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     ]
     frames = read_vtest(folder / "vtest")
     return {
-        "detection": measure_detection(photographs, detector),
+        "detection": {
+            "hog": measure_hog(photographs),
+            **measure_detection(photographs, detector),
+        },
         "silhouettes": measure_silhouettes(photographs, estimator),
         "vtest": {
             name: measure_vtest(frames, read_marks(), detector, score)
@@ -91,6 +95,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             "street_people": stated_and_met(own),
             "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
             "pose2sim": stated_and_met(videos),
+            "street_people_paper": stated_and_met(trials_of(shown, estimator, PAPER)),
         },
     }
 

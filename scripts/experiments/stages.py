@@ -17,16 +17,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.estimation.results import Person
-from app.paper import detect_people
 from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from index.search import ExactNeighbours
 from index.skeleton import LIMB_ROWS
 from index.store import PoseIndex
 from scripts.datasets import (
-    Photograph,
     Reference,
-    as_array,
     padded_box,
     read_lsp,
     read_pennfudan,
@@ -34,10 +31,12 @@ from scripts.datasets import (
     read_street_people,
 )
 from scripts.experiments.people import NEAR_OF_TRUNK
-from scripts.experiments.real_detection import measure_detection
+from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
     BOTH,
     LANDMARKS,
+    PAPER,
+    PAPER_MASK,
     SILHOUETTE,
     Shown,
     answer,
@@ -48,8 +47,7 @@ from scripts.experiments.real_poses import (
     pose_figures,
 )
 from scripts.experiments.rendered_people import read_rendered_people
-from scripts.helpers import estimate
-from scripts.metrics import detection_figures, percent
+from scripts.metrics import percent
 
 CAMERAS = ("cam01", "cam02", "cam03")
 FRAME_STEP, SPORT_STEP = 4, 2
@@ -92,7 +90,8 @@ def ways_of(estimator: Estimator) -> dict[str, Way]:
     not_reranked = estimator.with_index(replace(index, reranker=None, searched_by=None))
     at_random = estimator.with_index(permuted(index, SEED))
     return {
-        "paper_path": lambda shown: as_in_the_paper(estimator, shown),
+        PAPER: lambda shown: answer(estimator, shown, PAPER),
+        PAPER_MASK: lambda shown: answer(estimator, shown, PAPER_MASK),
         "silhouette_not_reranked": lambda shown: answer(not_reranked, shown, SILHOUETTE),
         "silhouette": lambda shown: answer(estimator, shown, SILHOUETTE),
         "silhouette_permuted": lambda shown: answer(at_random, shown, SILHOUETTE),
@@ -100,12 +99,6 @@ def ways_of(estimator: Estimator) -> dict[str, Way]:
         DEFAULT: lambda shown: answer(estimator, shown, BOTH),
         "silhouette_and_landmarks_permuted": lambda shown: answer(at_random, shown, BOTH),
     }
-
-
-def as_in_the_paper(estimator: Estimator, shown: Shown) -> Person | None:
-    """Answer by the paper's path; None where GrabCut finds nobody in the box."""
-    (person,) = estimate(estimator.by("paper"), shown.frame, shown.box)
-    return person if person.hypotheses else None
 
 
 def permuted(index: PoseIndex, seed: int) -> PoseIndex:
@@ -177,15 +170,5 @@ def detection(folder: Path, estimator: Estimator) -> dict[str, Figures]:
     if not folder.is_dir():
         return {}
     photographs = read_pennfudan(folder)
-    figures = {"hog_alone": by_hog_alone(photographs)}
-    return figures | measure_detection(photographs, estimator.models.detector)
-
-
-def by_hog_alone(photographs: Sequence[Photograph]) -> Figures:
-    """Return the figures of the paper's detector."""
-    found = []
-    for photograph in tqdm(photographs, desc="the paper's detector"):
-        people = detect_people(photograph.frame)
-        scores = np.array([one.score for one in people], np.float64)
-        found.append((as_array([one.box for one in people]), scores))
-    return detection_figures(found, [as_array(one.boxes) for one in photographs])
+    own = measure_detection(photographs, estimator.models.detector)
+    return {"hog": measure_hog(photographs), **own}

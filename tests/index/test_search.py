@@ -1,5 +1,8 @@
 """Exact search of descriptors and of limbs: the same as comparing with each vector."""
 
+from multiprocessing import get_context
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -174,3 +177,22 @@ def test_finds_at_most_all_entries(toy_index: PoseIndex) -> None:
 def test_vectors_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"expected vectors of shape \(E, 48\)"):
         LandmarkSearch(np.zeros(shape, np.float32))
+
+
+def test_a_forked_process_can_search() -> None:
+    """OpenMP's threads do not follow into it."""
+    vectors = in_steps(20_000, LANDMARK_DIMENSION, 4.0)
+    expected = ExactNeighbours(vectors).search(vectors[:1], 1)[1]
+    LandmarkSearch(np.rint(vectors))
+    asked: Any = get_context("fork").SimpleQueue()
+
+    def child() -> None:
+        LandmarkSearch(np.rint(vectors))
+        asked.put(ExactNeighbours(vectors).search(vectors[:1], 1)[1])
+
+    process = get_context("fork").Process(target=child)
+    process.start()
+    process.join(60)
+    process.kill()
+    assert process.exitcode == 0
+    assert_array_equal(asked.get(), expected)

@@ -11,14 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.shipped import NetworkError
+
 if TYPE_CHECKING:
     from ai_edge_litert.interpreter import Interpreter
 
 Shape = tuple[int | None, ...]
-
-
-class NetworkError(RuntimeError):
-    """A network's file is missing, altered or not the expected network."""
 
 
 class TfliteNetwork:
