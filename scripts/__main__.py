@@ -51,6 +51,14 @@ COMMANDS = {
         "scripts.training.fit_paper",
         "fit confidence and detection score of the paper's method",
     ),
+    "simulate-paper": (
+        "scripts.experiments.paper_simulation",
+        "render the data of the paper's experiments",
+    ),
+    "render-held-out": (
+        "scripts.experiments.rendered_people",
+        "render the people on whom steps are compared",
+    ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),

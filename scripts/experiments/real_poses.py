@@ -26,7 +26,6 @@ from scripts.metrics import percent
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
 PAPER, PAPER_MASK = "paper_method", "paper_method_network_silhouettes"
-WAYS = (PAPER, PAPER_MASK, SILHOUETTE, LANDMARKS, BOTH)
 """What hypotheses rest on: the paper's method, with GrabCut's silhouettes or those of the network,
 and the service's own by kind of evidence."""
 
@@ -147,14 +146,10 @@ def answer_by_paper(paper: Estimator, shown: Shown, person: Person | None) -> Pe
     return found if found is not None and found.hypotheses else None
 
 
-def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
-    """Compare the answers about people with their references."""
-    trials = []
-    for shown in tqdm(people, desc=f"by {way}", unit="person"):
-        person = answer(estimator, shown, way)
-        if person is not None:
-            trials.append(judge(shown, person))
-    return trials
+def trials_of(people: Sequence[Shown], estimator: Estimator, way: str = BOTH) -> list[Trial]:
+    """Compare answers about people, by default the service's own, with their references."""
+    answered = ((one, answer(estimator, one, way)) for one in tqdm(people, desc=f"by {way}"))
+    return [judge(shown, person) for shown, person in answered if person is not None]
 
 
 def judge(shown: Shown, person: Person) -> Trial:
