@@ -39,7 +39,9 @@ class TestSoundClip:
         assert_allclose(read.tips[read.bones.index("LeftArm")] * METRES_PER_UNIT, (0.28, 0, 0))
         assert_allclose(read.tips[read.bones.index("LeftHand")] * METRES_PER_UNIT, (0.12, 0, 0))
         # LHipJoint's child starts away from it; Hips skips joints without an offset.
-        assert_allclose(read.tips[read.bones.index("LHipJoint")] * METRES_PER_UNIT, (0.09, -0.04, 0))
+        assert_allclose(
+            read.tips[read.bones.index("LHipJoint")] * METRES_PER_UNIT, (0.09, -0.04, 0)
+        )
 
     def test_world_rotations_compose_along_the_chain(self, tmp_path: Path) -> None:
         # 30 degrees about z at the shoulder and 40 at the elbow: 70 at the forearm.
