@@ -11,9 +11,8 @@ from app.vision.people import silhouette_from_mask
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
-_TIMES_LIKELIER = 2.0
-"""Labels are parts if their union is a body so many times as likely as they are: of body parts, 4
-times and more at the median; of Penn-Fudan's people who touch, at most once."""
+_LEAST_LABELS = 3  # Two that touch may well embrace.
+_COMPARED = 4  # The largest labels of a group; each takes as long as a person's search.
 
 
 def check_bodies(mask: LabelImage, index: PoseIndex) -> None:
@@ -26,7 +25,7 @@ def check_bodies(mask: LabelImage, index: PoseIndex) -> None:
     UploadError
         If labels that touch are likelier to be one body than a body each.
     """
-    if len(mask.present) < 2:
+    if len(mask.present) < _LEAST_LABELS:
         return
     marked = np.asarray(mask.part != 0).view(np.uint8)
     count, groups, stats, _ = cv2.connectedComponentsWithStats(marked)
@@ -35,14 +34,11 @@ def check_bodies(mask: LabelImage, index: PoseIndex) -> None:
         within = slice(top, top + height), slice(left, left + width)
         one = np.where(groups[within] == group, mask.part[within], 0)
         labels, areas = np.unique(one[one > 0], return_counts=True)
-        if len(labels) < 2:
+        if len(labels) < _LEAST_LABELS:
             continue
-        shares = areas / areas.sum()
-        each = sum(
-            share * _likelihood(one == label, index)
-            for label, share in zip(labels, shares, strict=True)
-        )
-        if _likelihood(one > 0, index) > _TIMES_LIKELIER * each:
+        largest = np.argsort(-areas, kind="stable")[:_COMPARED]
+        each = [_likelihood(one == label, index) for label in labels[largest]]
+        if _likelihood(one > 0, index) > np.average(each, weights=areas[largest]):
             raise UploadError(
                 "mask",
                 "mask: expected a label for each person (1, 2, ...; 0 is background), got "

@@ -267,7 +267,7 @@ def _check_zero_pose(clip: Clip, rig: Rig) -> None:
     if not _HEIGHTS_M[0] <= height <= _HEIGHTS_M[1]:
         raise MotionError(
             f"the clip {clip.name} is of a person of {height:.3g} m from feet to head, expected "
-            f'{_HEIGHTS_M[0]} to {_HEIGHTS_M[1]}: write the file\'s unit into {RIG_FILE}, such as '
+            f"{_HEIGHTS_M[0]} to {_HEIGHTS_M[1]}: write the file's unit into {RIG_FILE}, such as "
             '"metres_per_unit": 0.01'
         )
 
