@@ -42,7 +42,8 @@ class Settings(BaseSettings):
     host: str = Field(
         default="127.0.0.1",
         validation_alias="HOST",
-        description="Address to listen on; `0.0.0.0` for all addresses of the machine.",
+        description="Address to listen on; `0.0.0.0` for all addresses of the "
+        "machine, `::` also for those of IPv6.",
     )
     port: int = Field(
         default=8000, ge=1, le=65535, validation_alias="PORT", description="Port to listen on."

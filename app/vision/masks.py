@@ -313,7 +313,7 @@ def _of_figures(image: LabelImage) -> LabelImage:
     if np.count_nonzero(border) >= _MAX_BORDER_SHARE * border.size:
         found = ", ".join(map(str, np.unique(border[border > 0])[:_MAX_NAMED].tolist()))
         raise ImageError(
-            f"expected a mask whose background is 0, got label {found} along the frame's border: "
+            f"expected a mask whose background is 0, got labels {found} along the frame's border: "
             "the mask may be inverted, or label walls and floors"
         )
     return figures.merged() if len(figures.present) == 1 and figures.present != [1] else figures
