@@ -1,8 +1,8 @@
 """From a silhouette and landmarks to distinct poses in the order of their rank.
 
-The entries nearest to the landmarks are candidates as well as those nearest to the silhouette.
-Candidates are weighted by their agreement with the landmarks, and modes are fitted to the
-landmarks. The best mode is also returned at other depths. Hypotheses include both facings.
+The entries nearest to the silhouette are candidates. They are weighted by their agreement with the
+landmarks, and modes are fitted to the landmarks. The best mode is also returned at other depths.
+Hypotheses include both facings.
 """
 
 import math
@@ -18,6 +18,7 @@ from index.candidates import (
     RotatedQuery,
     find_candidates,
     landmark_rotations,
+    sample_candidates,
     silhouette_rotations,
 )
 from index.confidence import fused_confidences
@@ -43,13 +44,11 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, depth_modes, find_modes, likely_weights
-from index.search import NearestEntries
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
     mean_joint_distance,
     moved_in_depth,
-    rotate_clockwise,
 )
 from index.store import PoseIndex
 
@@ -75,7 +74,7 @@ def match_landmarks(
         the silhouette is wide.
     whole : bool
         Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
-        candidates.
+        candidates, from a sample of the index.
     outlines : int, optional
         How many hypotheses, best first, have an outline distance; by default all.
     """
@@ -146,9 +145,11 @@ def _weighted(
     return weighted + unlike(facing[1:], weighted), len(weighted)
 
 
-# Number of entries nearest to each rotation of the silhouette, number of entries nearest to the
-# landmarks, and number of the best of both, from which the modes are made.
-_SILHOUETTE_CANDIDATES, _LANDMARK_CANDIDATES, _KEPT_CANDIDATES = 150, 50, 200
+# Entries nearest to each rotation of the silhouette, and how many of them, those that agree best
+# with the landmarks, make the modes.
+_CANDIDATES, _KEPT = 500, 100
+# The same where the silhouette is not whole: entries of a sample, and how many are kept.
+_SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
 
 
 @dataclass(frozen=True)
@@ -207,48 +208,38 @@ class _LandmarkQuery(Query):
         return replace(modes, points_3d=points_3d, points_normalised=placed), distances[nearest]
 
     def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes]:
-        """Modes of candidates near the silhouette and the landmarks, weighted by agreement.
-
-        Unless the silhouette is whole, only entries near the landmarks are candidates.
-        """
-        growth = max(1, math.ceil(CANDIDATES_PER_HYPOTHESIS * n / _SILHOUETTE_CANDIDATES))
-        nearest = self._near_landmarks(growth)
+        """Modes of the candidates that agree best with the landmarks, and these candidates."""
+        growth = max(1, math.ceil(CANDIDATES_PER_HYPOTHESIS * n / _CANDIDATES))
         usual = silhouette_rotations(self.silhouette, self.roll_deg)
-        rotations = landmark_rotations(usual, nearest.roll_deg)
+        rotations = landmark_rotations(usual, _trunk_tilt_deg(self.landmarks.limbs_3d))
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         known = 0
         while True:
-            k = growth * _SILHOUETTE_CANDIDATES if self.whole else 0
-            candidates = find_candidates(self.index, queries, k, nearest)
-            exhausted, known = len(candidates) <= known, len(candidates)
-            candidates, agreement = self._likeliest(candidates, growth * _KEPT_CANDIDATES)
-            weights = likely_weights(candidates.distances, agreement)
+            if self.whole:
+                found = find_candidates(self.index, queries, growth * _CANDIDATES)
+                kept = self._likeliest(found, found.distances, growth * _KEPT)
+            else:
+                found = sample_candidates(self.index, queries, growth * _SAMPLE)
+                found = _placed_by_landmarks(found, self.landmarks)
+                kept = self._likeliest(found, np.ones(len(found)), growth * _KEPT_OF_SAMPLE)
+            candidates, agreement, weights = kept
             modes = find_modes(
                 candidates, weights, n + SPARE_MODES, residuals=[agreement.residuals]
             )
+            exhausted, known = len(found) <= known, len(found)
             if len(modes) >= n or exhausted or growth >= MAX_CANDIDATE_GROWTH:
                 return candidates, agreement, modes
             growth *= 2
-            nearest = self._near_landmarks(growth)
 
-    def _near_landmarks(self, growth: int) -> NearestEntries:
-        """Entries near the landmarks in three dimensions, with their rotations in the query."""
-        limbs_3d = rotate_clockwise(self.landmarks.limbs_3d, -self.roll_deg)
-        nearest = self.index.landmark_search.nearest(
-            limbs_3d, _likely_rolls(limbs_3d), growth * _LANDMARK_CANDIDATES
-        )
-        entry_roll_deg = self.index.roll_deg(nearest.entry_ids, nearest.mirrored)
-        return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + self.roll_deg)
-
-    def _likeliest(self, candidates: Candidates, count: int) -> tuple[Candidates, Agreement]:
-        """Candidates with the largest weights, ordered by distance, with their agreement."""
-        if not self.whole:
-            candidates = _placed_by_landmarks(candidates, self.landmarks)
+    def _likeliest(
+        self, candidates: Candidates, distances: NDArray[np.float64], count: int
+    ) -> tuple[Candidates, Agreement, NDArray[np.float64]]:
+        """Candidates with the largest weights, ordered by distance, their agreement and weights."""
         agreement = self.landmarks.compare(candidates.points_normalised, candidates.points_3d)
-        distances = candidates.distances if self.whole else np.ones(len(candidates))
-        kept = np.argsort(-likely_weights(distances, agreement), kind="stable")[:count]
+        weights = likely_weights(distances, agreement)
+        kept = np.argsort(-weights, kind="stable")[:count]
         kept.sort()  # Back in ascending distance.
-        return candidates.take(kept), agreement.take(kept)
+        return candidates.take(kept), agreement.take(kept), weights[kept]
 
 
 def _confidences(
@@ -259,16 +250,11 @@ def _confidences(
     return fused_confidences(distances, adjusted_m)
 
 
-# Tilt of the trunk below which landmarks are searched only as they are.
-_MAX_UPRIGHT_TRUNK_DEG = 12.0
-
-
-def _likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
-    """Rolls of the camera that limbs ``(12, 3)`` suggest: 0, and the tilt of the trunk."""
+def _trunk_tilt_deg(limbs_3d: NDArray[np.float64]) -> float:
+    """Clockwise tilt in the picture of the trunk of limbs ``(12, 3)``: 0 if upright."""
     hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
     right, down, _ = (shoulders - hips).tolist()
-    roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
-    return (0.0,) if abs(roll_deg) < _MAX_UPRIGHT_TRUNK_DEG else (0.0, roll_deg)
+    return float(np.rad2deg(np.arctan2(right, -down)))
 
 
 # Smallest scale at which candidates are placed by landmarks.
