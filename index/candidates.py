@@ -65,7 +65,7 @@ def _ratio(silhouette: NDArray[np.uint8]) -> float:
 _MIN_TILT_DEG = 12.0
 
 
-def landmark_rotations(usual: Sequence[float], tilt_deg: float) -> tuple[float, ...]:
+def landmark_rotations(usual: tuple[float, ...], tilt_deg: float) -> tuple[float, ...]:
     """At most two rotations in degrees, for a trunk tilted by ``tilt_deg`` in the silhouette.
 
     The first is the first of the usual ones, from :func:`silhouette_rotations`. The second, if
@@ -116,9 +116,9 @@ def sample_candidates(index: PoseIndex, queries: Sequence[RotatedQuery], count: 
     In place of :func:`find_candidates` for a silhouette that shows part of a body.
     """
     spaced = np.linspace(0, len(index) - 1, min(count, len(index))).astype(np.int64)
-    every = np.meshgrid(np.arange(len(queries)), spaced, [False, True], indexing="ij")
+    every = np.meshgrid(np.arange(len(queries)), spaced, [0, 1], indexing="ij")
     rows, entry_ids, mirrored = (one.ravel() for one in every)
-    return _candidates(index, queries, _described(index, queries), entry_ids, mirrored, rows)
+    return _candidates(index, queries, _described(index, queries), entry_ids, mirrored == 1, rows)
 
 
 def _described(index: PoseIndex, queries: Sequence[RotatedQuery]) -> NDArray[np.float32]:

@@ -22,7 +22,13 @@ from index.candidates import (
     silhouette_rotations,
 )
 from index.confidence import fused_confidences
-from index.facing import faces_camera, front_share, heading_shares, nearest_of_both_facings
+from index.facing import (
+    azimuth_deg,
+    faces_camera,
+    front_share,
+    heading_shares,
+    nearest_of_both_facings,
+)
 from index.landmarks import (
     DISTANCE_WEIGHT,
     Agreement,
@@ -150,6 +156,8 @@ def _weighted(
 _CANDIDATES, _KEPT = 500, 100
 # The same where the silhouette is not whole: entries of a sample, and how many are kept.
 _SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
+# Candidates that decide which action is the usual one, for each that is kept.
+_VOTES_PER_KEPT = 3
 
 
 @dataclass(frozen=True)
@@ -161,24 +169,21 @@ class _LandmarkQuery(Query):
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
         """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
-        candidates, _, modes = self._modes(n)
-        modes, distances = self._fitted(candidates, modes)
+        candidates, _, modes, typical = self._modes(n)
+        modes, distances = self._fitted(candidates, modes, typical)
         distances = np.maximum(distances, at_least)
         confidence = _confidences(candidates, modes, distances)
         return self.hypotheses(candidates, modes, distance=distances, confidence=confidence)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
         """Find the first hypotheses, and the best one at other depths; both nearest first."""
-        candidates, agreement, modes = self._modes(DEFAULT_HYPOTHESES)
-        modes, distances = self._fitted(candidates, modes)
+        candidates, agreement, modes, typical = self._modes(DEFAULT_HYPOTHESES)
+        modes, distances = self._fitted(candidates, modes, typical)
         # Of the hypotheses, one is the mode as found, and one faces the opposite way.
         depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
-        others = Modes(
-            depths.rows,
-            depths.shares,
-            candidates.distances[depths.rows],
-            moved_in_depth(modes.points_3d[0], depths.offsets),
-            modes.points_normalised[:1].repeat(len(depths.rows), axis=0),
+        first = modes.take(np.zeros(len(depths.shares), np.int64))
+        others = replace(
+            first, votes=depths.shares, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets)
         )
         confidences = _confidences(candidates, modes, distances)
         other_distances = distances[0] * np.exp(depths.misfits / DISTANCE_WEIGHT)
@@ -192,10 +197,14 @@ class _LandmarkQuery(Query):
         found, alternatives = both[: len(modes)], both[len(modes) :]
         return found, sorted(alternatives, key=lambda one: one.distance)
 
-    def _fitted(self, candidates: Candidates, modes: Modes) -> tuple[Modes, NDArray[np.float64]]:
+    def _fitted(
+        self, candidates: Candidates, modes: Modes, typical: NDArray[np.bool_]
+    ) -> tuple[Modes, NDArray[np.float64]]:
         """Modes fitted to the landmarks, nearest first, and their distances.
 
-        They are compared before the fit: a pose that must change far to fit is less likely.
+        They are compared before the fit: a pose that must change far to fit is less likely. Their
+        centres become the entries that look most like them: of the typical candidates ``(K,)`` that
+        face as they do, the one with the nearest silhouette.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
         _, tilt_deg = self.rotations(candidates.take(modes.centres))
@@ -205,10 +214,20 @@ class _LandmarkQuery(Query):
         points_3d, placed = fit_to_landmarks(
             self.landmarks, modes.points_3d, modes.points_normalised
         )
-        return replace(modes, points_3d=points_3d, points_normalised=placed), distances[nearest]
+        facing, front = (
+            faces_camera(azimuth_deg(one)) for one in (candidates.points_3d, points_3d)
+        )
+        like = ((facing == front[:, None]) + 2 * typical).argmax(
+            axis=1
+        )  # The first is the nearest.
+        modes = replace(modes, centres=like, points_3d=points_3d, points_normalised=placed)
+        return modes, distances[nearest]
 
-    def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes]:
-        """Modes of the candidates that agree best with the landmarks, and these candidates."""
+    def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes, NDArray[np.bool_]]:
+        """Modes of the candidates that agree best with the landmarks, and these candidates.
+
+        Also whether the action of each is that of most candidates.
+        """
         growth = max(1, math.ceil(CANDIDATES_PER_HYPOTHESIS * n / _CANDIDATES))
         usual = silhouette_rotations(self.silhouette, self.roll_deg)
         rotations = landmark_rotations(usual, _trunk_tilt_deg(self.landmarks.limbs_3d))
@@ -222,24 +241,30 @@ class _LandmarkQuery(Query):
                 found = sample_candidates(self.index, queries, growth * _SAMPLE)
                 found = _placed_by_landmarks(found, self.landmarks)
                 kept = self._likeliest(found, np.ones(len(found)), growth * _KEPT_OF_SAMPLE)
-            candidates, agreement, weights = kept
+            candidates, agreement, weights, typical = kept
             modes = find_modes(
                 candidates, weights, n + SPARE_MODES, residuals=[agreement.residuals]
             )
             exhausted, known = len(found) <= known, len(found)
             if len(modes) >= n or exhausted or growth >= MAX_CANDIDATE_GROWTH:
-                return candidates, agreement, modes
+                return candidates, agreement, modes, typical
             growth *= 2
 
     def _likeliest(
         self, candidates: Candidates, distances: NDArray[np.float64], count: int
-    ) -> tuple[Candidates, Agreement, NDArray[np.float64]]:
-        """Candidates with the largest weights, ordered by distance, their agreement and weights."""
+    ) -> tuple[Candidates, Agreement, NDArray[np.float64], NDArray[np.bool_]]:
+        """Candidates with the largest weights, ordered by distance, their agreement and weights.
+
+        Also whether the action of each is that of most candidates.
+        """
         agreement = self.landmarks.compare(candidates.points_normalised, candidates.points_3d)
         weights = likely_weights(distances, agreement)
-        kept = np.argsort(-weights, kind="stable")[:count]
-        kept.sort()  # Back in ascending distance.
-        return candidates.take(kept), agreement.take(kept), weights[kept]
+        likeliest = np.argsort(-weights, kind="stable")
+        skeletons = self.index.entries["skeleton"][candidates.entry_ids]
+        actions = self.index.skeleton_labels["action"][skeletons]
+        typical = actions == np.bincount(actions[likeliest[: _VOTES_PER_KEPT * count]]).argmax()
+        kept = np.sort(likeliest[:count])  # Back in ascending distance.
+        return candidates.take(kept), agreement.take(kept), weights[kept], typical[kept]
 
 
 def _confidences(
