@@ -74,13 +74,11 @@ def test_other_vectors_are_compared_as_floats() -> None:
 
 def test_a_forked_process_can_search() -> None:
     """OpenMP's threads do not follow into it."""
-    vectors = in_steps(20_000, LANDMARK_DIMENSION, 4.0)
+    vectors = in_steps(20_000, 48, 4.0)
     expected = ExactNeighbours(vectors).search(vectors[:1], 1)[1]
-    LandmarkSearch(np.rint(vectors))
     asked: Any = get_context("fork").SimpleQueue()
 
     def child() -> None:
-        LandmarkSearch(np.rint(vectors))
         asked.put(ExactNeighbours(vectors).search(vectors[:1], 1)[1])
 
     process = get_context("fork").Process(target=child)
