@@ -46,7 +46,12 @@ def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
         encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 101),
         _with_exif_orientation(encode(".jpg", frame)),
         *(encode(extension, frame) for extension in (".gif", ".tiff", ".bmp")),
-        encode(".tiff", frame, cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_JPEG),
+        encode(
+            ".tiff",
+            frame,
+            *(cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_JPEG),
+            *(cv2.IMWRITE_TIFF_ROWSPERSTRIP, 16),
+        ),
     ]
     rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
     masks = [
