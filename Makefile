@@ -17,7 +17,7 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test coverage test-all test-newest mutants check format index reranker evaluate bench openapi constraints clean
+.PHONY: run test coverage test-all test-newest mutants check format index reranker paper evaluate bench openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -42,9 +42,8 @@ test-newest:
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check -e '.[test]'
 	$(NEWEST)/bin/python -m pytest -q -n 2 --dist loadfile $(ARGS)
 
-# Not in continuous integration: an hour and more.
+# Not in continuous integration: a quarter of an hour.
 mutants: $(DEV)/.stamp
-	$(DEV)/bin/$(PIP_INSTALL) -e '.[mutants,test]'
 	$(DEV)/bin/python -m scripts mutants $(ARGS)
 
 check: $(DEV)/.stamp
@@ -68,6 +67,11 @@ reranker: $(BUILD)/.stamp
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BUILD)/bin/python -m scripts train-reranker \
 	  --mocap $(SHARED)/mocap --garments $(SHARED)/garments $(ARGS)
 
+# The paper's experiments on the data that ships; Weizmann's where it lies.
+paper: $(DEV)/.stamp
+	$(DEV)/bin/$(PIP_INSTALL) -e '.[paper,test]'
+	$(DEV)/bin/python -m scripts evaluate paper --shared $(SHARED) $(ARGS)
+
 evaluate: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m scripts evaluate --shared $(SHARED) $(ARGS)
 
@@ -82,7 +86,7 @@ openapi: $(DEV)/.stamp
 constraints:
 	@$(PYTHON) -m venv --clear $(NEWEST)
 	@$(NEWEST)/bin/pip install --quiet --disable-pip-version-check \
-	  -e '.[browser,cluster,contract,milvus,mutants,test]'
+	  -e '.[browser,cluster,contract,milvus,paper,test]'
 	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip --exclude setuptools) > $@.new
 	mv $@.new $@.txt
 
@@ -103,7 +107,7 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
 	@$(PYTHON) -m venv $(BUILD)
 	@$(BUILD)/bin/$(PIP_INSTALL) torch==2.13.0
-	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,milvus,test]'
+	@$(BUILD)/bin/$(PIP_INSTALL) -e '.[browser,build,cluster,contract,milvus,paper,test]'
 	@touch $@
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.

@@ -60,27 +60,30 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
     import uvicorn
 
     from app.http.access_log import log_config
+    from app.http.protocol import HttpProtocol
     from app.main import create_app
+    from app.networks.shipped import NetworkError, check_files
     from app.serving import read_cameras
-    from app.vision.models import check_networks
-    from app.vision.tflite import NetworkError
 
     try:
-        check_networks()
+        check_files()
         read_cameras(settings.cameras_file)
     except (SettingsError, NetworkError) as error:
         sys.exit(str(error))
     # Once it has shut down, uvicorn raises the signal again for the handlers that it found here.
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: None)
+    # Python would take `::` for IPv6 alone, `""` for both; the parent of several workers takes `::`
+    # for both.
+    host = "" if settings.host == "::" and settings.workers == 1 else settings.host
     create = partial(create_app, settings, read_index=read_index)
     uvicorn.run(
         create if settings.workers == 1 else "app.main:create_app",
         factory=True,
-        host=settings.host,
+        host=host,
         port=settings.port,
         workers=settings.workers,
-        http="app.http.protocol:HttpProtocol",
+        http=HttpProtocol,
         ws="none",
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
         timeout_keep_alive=KEEP_ALIVE_S,

@@ -136,6 +136,7 @@ class CameraSession:
             late frame can be, the session starts afresh instead.
         """
         job = job or Job()
+        evidence = self._estimator.evidence(evidence)
         arrived = self._clock()
         timestamp = self._time_of(timestamp, arrived)
         empty = self._still_empty(upload, timestamp, evidence, job)
@@ -164,6 +165,8 @@ class CameraSession:
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
+        if job.left_out:
+            warnings = ("crowded", *warnings)
         shown = _Shown(decoded.sent, rectification.camera_sent(decoded.camera), warnings)
         self._empty = self._as_empty(decoded, upload.optics)
         persons = tuple(_as_sent(person, rectification) for person in tracked)
@@ -239,8 +242,8 @@ class CameraSession:
         begins_afresh = timestamp < self._timestamp - _MAX_LATE_S
         if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
             raise LateFrameError(
-                f"expected a timestamp after {self._timestamp:g} s, that of the camera's last "
-                f"frame, got {timestamp:g} s"
+                f"expected a timestamp after {self._timestamp:.15g} s, that of the camera's "
+                f"last frame, got {timestamp:.15g} s"
             )
         return timestamp
 
@@ -251,6 +254,7 @@ class CameraSession:
         if before is None:
             self._watched_from = timestamp
             return
+        is_same_view = (before.square, before.roll_deg) == (now.square, now.roll_deg)
         if before.square != now.square:
             (height, width), (rows, columns) = before.square, now.square
             reason = f"frames were {width}x{height} pixels before, this one is {columns}x{rows}"
@@ -264,6 +268,9 @@ class CameraSession:
             return
         self._reset, self._watched_from = reason, timestamp
         self._detector = TrackedPeopleDetector(self._estimator.finder)
+        if not is_same_view:
+            self._events += self._view.end(timestamp)
+            self._view = View()
         for track in self._tracks:
             self._events += track.end(timestamp)
         self._tracks = []

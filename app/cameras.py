@@ -39,6 +39,10 @@ class CameraTraffic:
     dropped: Mapping[str, int]
 
 
+class NoSessionsError(ValueError):
+    """The service keeps no camera sessions."""
+
+
 class TooManyCamerasError(ValueError):
     """A caller has configured as many cameras as allowed, all of which have sent frames."""
 
@@ -214,6 +218,11 @@ class CameraSessions:
             opened.busy = False
         return frame
 
+    def check_kept(self) -> None:
+        """Raise NoSessionsError if there may be no sessions."""
+        if not self._max_sessions:
+            raise NoSessionsError("this service keeps no camera sessions")
+
     def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
         """Set zones, optics and events of a camera, from its next frame on.
 
@@ -224,7 +233,10 @@ class CameraSessions:
         ------
         TooManyCamerasError
             If all of them have sent frames.
+        NoSessionsError
+            If there may be no sessions.
         """
+        self.check_kept()
         with self._lock:
             others = [k for k in self._settings if k.caller == key.caller and k != key]
             matters = settings != _NO_SETTINGS or key.camera_id in self._configured

@@ -13,6 +13,7 @@ from starlette.types import Scope
 from app import VERSION
 from app.camera import CameraSession
 from app.cameras import CameraSessions
+from app.decoding.workers import Workers
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
 from app.http.errors import register_error_handlers
@@ -84,10 +85,11 @@ def create_app(
         on_begin=metrics.sessions_started.inc,
         on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
     )
-    runtime = Runtime(settings, executor, metrics, sessions)
+    workers = Workers(settings.concurrency, settings.max_upload_bytes, settings.max_pixels)
+    runtime = Runtime(settings, executor, workers, metrics, sessions)
     metrics.sessions.set_function(lambda: len(sessions))
     metrics.observe_cameras(sessions.traffic)
-    metrics.sequences.set_function(lambda: runtime.sequences)
+    metrics.sequences.set_function(lambda: len(runtime.sequences))
     metrics.in_flight.set_function(lambda: executor.queue.in_flight)
     metrics.capacity_used.set_function(executor.queue.load)
     metrics.observe_build(VERSION, settings)
@@ -105,6 +107,7 @@ def create_app(
             yield
             tasks.cancel_scope.cancel()
         executor.shut_down()
+        workers.close()
 
     app = FastAPI(
         title="Silhouette pose",

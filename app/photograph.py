@@ -6,17 +6,24 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from app.decoding.workers import Workers
+from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.estimation.posture import as_standing, likeliest_posture, shares_of
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.networks.dense import shipped_network
+from app.networks.shipped import constants_of, file_of
+from app.paper import NoNetworks, PaperFinder
 from app.scheduling.job import Job
 from app.scheduling.process import available_cores
-from app.settings import Settings
+from app.settings import Method, Segmenter, Settings
+from app.tracking import actions, falls
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
@@ -24,7 +31,6 @@ from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box
 from app.vision.images import ImageWarning
 from app.vision.judgement import load_photograph_models
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
@@ -32,9 +38,22 @@ from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
 from index.artefact import load_index
 from index.landmark_matching import match_landmarks
-from index.matching import DEFAULT_HYPOTHESES
+from index.matching import DEFAULT_HYPOTHESES, Match
+from index.nearest import match_nearest
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
+
+
+class MethodError(ValueError):
+    """A method cannot be used; the message is one sentence, ``field`` names the faulty choice."""
+
+    def __init__(self, field: str, message: str) -> None:
+        super().__init__(message)
+        self.field = field
+
+
+_SEGMENTERS: dict[Method, Segmenter] = {"networks": "network", "paper": "grabcut"}
+"""What cuts people out by default."""
 
 
 class Estimator:
@@ -60,14 +79,81 @@ class Estimator:
     ) -> None:
         self.index = index
         self.models = models
+        self.method: Method = "networks"
+        self.segmenter: Segmenter = "network"
         self._decoder = UploadDecoder(max_pixels, max_persons)
         self.finder = PeopleFinder(models, min_person_px, max_persons)
+        self._base = self
+        self._variants = self._all_variants()
 
     def with_index(self, index: PoseIndex) -> Estimator:
-        """Return an estimator with the same models and another index."""
+        """Return an estimator with the same models and method, and another index."""
+        return self._with(index=index)
+
+    def by(self, method: Method | None = None, segmenter: Segmenter | None = None) -> Estimator:
+        """Return the estimator of a method over the same index; by default, of this one's.
+
+        The segmenter is what cuts people out where the caller gives no mask and no background; by
+        default the method's own.
+
+        Raises
+        ------
+        MethodError
+            If there is no such method, or it needs networks that were not loaded.
+        """
+        method = method or self.method
+        found = self._variants.get((method, segmenter or _SEGMENTERS[method]))
+        if found is not None:
+            return found
+        if method == "networks" and segmenter == "grabcut":
+            raise MethodError("segmenter", "expected network with method=networks, got grabcut")
+        field = "method" if method == "networks" else "segmenter"
+        raise MethodError(
+            field,
+            f"expected {'paper' if field == 'method' else 'grabcut'}, since this service has "
+            "loaded no network",
+        )
+
+    def _all_variants(self) -> dict[tuple[Method, Segmenter], Estimator]:
+        """The estimators of all methods that the models allow."""
+        variants: dict[tuple[Method, Segmenter], Estimator] = {
+            ("paper", "grabcut"): self._by_paper("grabcut")
+        }
+        if not isinstance(self.models, NoNetworks):
+            variants["networks", "network"] = self
+            variants["paper", "network"] = self._by_paper("network")
+        for one in variants.values():
+            one._variants = variants
+        return variants
+
+    def _by_paper(self, segmenter: Segmenter) -> Estimator:
+        """An estimator by the paper's method; see :mod:`app.paper`."""
         other = copy(self)
-        other.index = index
+        other.method, other.segmenter = "paper", segmenter
+        if segmenter == "grabcut":
+            other.models = NoNetworks()
+        other.finder = PaperFinder(
+            index=self.index,
+            models=other.models,
+            min_person_px=self.finder.min_person_px,
+            max_persons=self.finder.max_persons,
+            segmenter=segmenter,
+        )
         return other
+
+    def with_workers(self, workers: Workers) -> Estimator:
+        """Return an estimator with the same models that has expensive images decoded by workers."""
+        return self._with(_decoder=replace(self._decoder, workers=workers))
+
+    def _with(self, **changed: object) -> Estimator:
+        """The same, by any method, with changed attributes."""
+        base = copy(self._base)
+        vars(base).update(changed, _base=base)
+        return base._all_variants()[self.method, self.segmenter]
+
+    def evidence(self, wanted: Evidence) -> Evidence:
+        """What poses are estimated from: as wanted, or silhouettes alone as in the paper."""
+        return "silhouette" if self.method == "paper" else wanted
 
     def estimate(
         self,
@@ -93,6 +179,7 @@ class Estimator:
             If the images or boxes cannot be used.
         """
         job = job or Job()
+        evidence = self.evidence(evidence)
         unseen = upload.mask is not None and evidence == "silhouette" and not shown
         job.some_suffice = upload.mask is None and upload.boxes is None
         decoded = self.decode(upload, job, blank=unseen)
@@ -111,6 +198,8 @@ class Estimator:
         with job.stage("decode"):
             decoded = self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
+        if decoded.mask is not None:
+            check_bodies(decoded.mask, self.index)
         return decoded
 
     def fit(
@@ -129,8 +218,10 @@ class Estimator:
         with job.stage("describe"):
             normalised = job.map(normalise_person, people)
 
+        match = match_nearest if self.method == "paper" else match_silhouette
+
         def fitted(pair: tuple[Person, NormalisedPerson | None]) -> Person:
-            return fit_poses(self.index, *pair, camera, n, outlines)
+            return fit_poses(self.index, *pair, camera, n, outlines, match)
 
         with job.stage("search"):
             return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
@@ -166,17 +257,18 @@ def fit_poses(
     camera: PinholeCamera,
     n: int,
     outlines: int | None = None,
+    match: Callable[..., Match] = match_silhouette,
 ) -> Person:
     """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette.
 
-    See :meth:`Estimator.fit`.
+    See :meth:`Estimator.fit`. ``match`` is what finds them from a silhouette alone.
     """
     if normalised is None:
         return person
     landmarks = normalised.normalised_landmarks()
     silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
     if landmarks is None:
-        found = match_silhouette(index, silhouette, n, roll_deg=roll_deg)
+        found = match(index, silhouette, n, roll_deg=roll_deg)
     else:
         found = match_landmarks(
             index,
@@ -245,6 +337,8 @@ def load_estimator(
 ) -> Estimator:
     """Load the networks and the index, by default from the folder in the settings.
 
+    With the method ``paper`` in the settings, no network is loaded.
+
     Without settings, those of the environment apply, as for the service.
 
     Raises
@@ -255,24 +349,29 @@ def load_estimator(
         If a network file shipped with the package is missing or has been modified.
     """
     settings = settings or Settings()
-    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
-        models = pool.submit(load_models, settings.concurrency)
-        index = read_index() if read_index else load_index(settings.index)
-    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
-    return Estimator(
-        index,
-        models.result(),
+    estimator_of = partial(
+        Estimator,
         min_person_px=settings.min_person_px,
         max_pixels=settings.max_pixels,
         max_persons=settings.max_persons,
     )
+    if settings.method == "paper":
+        plain = partial(load_index, settings.index, reranked=False, in_bytes=False)
+        index = read_index() if read_index else plain()
+        match_nearest(index, index.silhouette(0), 1)
+        return estimator_of(index, NoNetworks()).by("paper")
+    with ThreadPoolExecutor(1) as pool:  # The networks get ready while the index is read.
+        models = pool.submit(load_models, settings.concurrency)
+        index = read_index() if read_index else load_index(settings.index)
+    match_silhouette(index, index.silhouette(0), 1)  # The first search is slow.
+    return estimator_of(index, models.result())
 
 
 def load_models(concurrency: int) -> Models:
-    """Load the networks that detect and read people, and the models that judge what was read.
+    """Load all that was learned: what finds, reads, judges and follows people.
 
-    Networks run once, because the first run is slow. The ``concurrency`` of frames processed at
-    once share the cores.
+    Nothing is left to be read when the first frames come. Networks run once, because the first run
+    is slow. The ``concurrency`` of frames processed at once share the cores.
 
     Raises
     ------
@@ -282,14 +381,14 @@ def load_models(concurrency: int) -> Models:
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet, small_movenet = (MoveNet(network_path("movenet"), **share) for _ in range(2))
+    movenet, small_movenet = (MoveNet(file_of("movenet"), **share) for _ in range(2))
     landmarks = LandmarkNetwork(
-        network_path("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
+        file_of("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
     )
-    masks = MaskNetwork(network_path("pose_mask"), **share)
+    masks = MaskNetwork(file_of("pose_mask"), **share)
     reader = PersonReader(landmarks, masks, KeypointReader(small_movenet))
-    pose_detection = BlazePoseDetector(network_path("pose_detection"), **share)
-    objects = ObjectNetwork(network_path("objects"), **share)
+    pose_detection = BlazePoseDetector(file_of("pose_detection"), **share)
+    objects = ObjectNetwork(file_of("objects"), **share)
     detectors = MoveNetDetector(movenet, small_movenet), pose_detection
     detector = NetworkDetector(detectors, landmarks, objects)
     frame = np.full((240, 320, 3), 127, np.uint8)
@@ -297,4 +396,11 @@ def load_models(concurrency: int) -> Models:
     detector.detect(frame)
     detector.object_log_odds(frame, Detection(box, 0.5))
     reader.read(frame, box)
+    # Kept where they are used: a track needs no estimator.
+    falls.shipped_model()
+    actions.shipped_model()
+    for name in ("identity", "elevation"):
+        shipped_network(name)
+    for part in ("detection", "objects"):
+        constants_of(part)
     return Models(detector, reader, load_photograph_models())

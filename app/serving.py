@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, TypeVar, cast
 
@@ -20,10 +20,12 @@ from app import VERSION
 from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
+from app.decoding.workers import Workers
 from app.http.errors import overloaded
-from app.http.identity import CAMERA_PATTERN, identity_of
+from app.http.identity import CAMERA_PATTERN, Caller, identity_of
 from app.http.metrics import Metrics
 from app.messages import located
+from app.networks.shipped import NetworkError
 from app.photograph import Estimator, load_estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
@@ -34,7 +36,6 @@ from app.scheduling.process import (
     trim_heap,
 )
 from app.settings import Settings, SettingsError
-from app.vision.tflite import NetworkError
 from index.artefact import ArtefactError
 from index.search import SearchUnavailableError
 from index.store import PoseIndex
@@ -51,16 +52,18 @@ _SEQUENCE_RETRY_S = 10
 class Runtime:
     """State of an application.
 
-    All work on images is the executor's. ``sequences`` counts the videos that are received or
-    worked on. Until the index is loaded, ``estimator`` is None, ``not_ready_because`` tells the
-    operator why, and ``loading`` is whether loading goes on or will be tried again.
+    All work on images is the executor's; ``workers`` decode those that may be expensive.
+    ``sequences`` has the callers of the videos that are worked on. Until the index is loaded,
+    ``estimator`` is None, ``not_ready_because`` tells the operator why, and ``loading`` is whether
+    loading goes on or will be tried again.
     """
 
     settings: Settings
     executor: Executor
+    workers: Workers
     metrics: Metrics
     sessions: CameraSessions
-    sequences: int = 0
+    sequences: list[Caller] = field(default_factory=list)
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
     loading: bool = True
@@ -73,21 +76,29 @@ class Runtime:
             raise overloaded(self.not_ready_because, "not_ready", retry_after_s)
         return self.estimator
 
+    def check_sequence(self, caller: Caller) -> None:
+        """Raise a 503 if no further video of this caller may be worked on.
+
+        One caller leaves a place to others, for as long as a video may take.
+        """
+        most, retry_s = self.settings.max_sequences, _SEQUENCE_RETRY_S
+        own = max(1, most - 1)
+        if len(self.sequences) >= most:
+            sentence = f"expected at most {most} videos at once; try again later"
+            raise overloaded(sentence, "too_many_sequences", retry_s)
+        if self.sequences.count(caller) >= own:
+            sentence = f"expected at most {own} of one caller's videos at once; try again later"
+            raise overloaded(sentence, "too_many_sequences", retry_s)
+
     @contextmanager
-    def sequence(self) -> Iterator[None]:
-        """Count a video while it is received and worked on; raise a 503 if there are too many."""
-        most = self.settings.max_sequences
-        if self.sequences >= most:
-            raise overloaded(
-                f"expected at most {most} videos at once; try again later",
-                "too_many_sequences",
-                _SEQUENCE_RETRY_S,
-            )
-        self.sequences += 1
+    def sequence(self, caller: Caller) -> Iterator[None]:
+        """Count a video while it is worked on; raise a 503 if there are too many."""
+        self.check_sequence(caller)
+        self.sequences.append(caller)
         try:
             yield
         finally:
-            self.sequences -= 1
+            self.sequences.remove(caller)
 
 
 def runtime_of(request: Request) -> Runtime:
@@ -158,6 +169,7 @@ async def keep_index_loaded(
 
 def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     """Serve with an estimator from now on; current requests keep theirs."""
+    estimator = estimator.with_workers(runtime.workers)
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)
@@ -230,7 +242,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     if path is None:
         return {}
     try:
-        cameras = _CAMERAS.validate_json(path.read_text(errors="replace"))
+        cameras = _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"

@@ -20,6 +20,13 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 # Kubernetes sets such variables in all containers of a namespace with a service called "pose".
 _KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
+Method = Literal["networks", "paper"]
+"""How people are found and poses estimated: by networks, which also read landmarks, or as in the
+paper, by HOG and silhouettes alone."""
+
+Segmenter = Literal["network", "grabcut"]
+"""What cuts people out of a frame where neither a mask nor a background does."""
+
 _Seconds = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
@@ -35,7 +42,8 @@ class Settings(BaseSettings):
     host: str = Field(
         default="127.0.0.1",
         validation_alias="HOST",
-        description="Address to listen on; `0.0.0.0` for all addresses of the machine.",
+        description="Address to listen on; `0.0.0.0` for all addresses of the "
+        "machine, `::` also for those of IPv6.",
     )
     port: int = Field(
         default=8000, ge=1, le=65535, validation_alias="PORT", description="Port to listen on."
@@ -55,6 +63,11 @@ class Settings(BaseSettings):
         default=None,
         description="Milvus that searches the index, `http://host:19530`; see "
         "[an index in Milvus](#an-index-in-milvus).",
+    )
+    method: Method = Field(
+        default="networks",
+        description="`networks`, or `paper`: by default, requests are answered by the paper's "
+        "method, and no network is loaded.",
     )
     min_person_px: int | None = Field(
         default=None,
@@ -120,7 +133,7 @@ class Settings(BaseSettings):
     max_sequences: int = Field(
         default=2,
         ge=1,
-        description="Most videos received or processed at once; one more gets a 503.",
+        description="Most videos processed at once, of one caller one less; one more gets a 503.",
     )
     max_video_bytes: int = Field(
         default=64 * 1024**2,

@@ -50,11 +50,16 @@ class ArtefactError(ValueError):
 
 
 def load_index(
-    path: Path, searched_by: Neighbours | None = None, *, reranked: bool = True
+    path: Path,
+    searched_by: Neighbours | None = None,
+    *,
+    reranked: bool = True,
+    in_bytes: bool = True,
 ) -> PoseIndex:
     """Read and verify an index, and the network beside it if there is one and it is wanted.
 
-    Its vectors are searched by ``searched_by``; by default exactly, in this process.
+    Its vectors are searched by ``searched_by``; by default exactly, in this process. ``in_bytes``
+    is that of :class:`index.search.ExactNeighbours`.
 
     Raises
     ------
@@ -66,7 +71,7 @@ def load_index(
     try:
         files = _read_files(path, manifest["files"])
         reranker = load_reranker(path) if reranked else None
-        return _restore(manifest, files, searched_by, reranker)
+        return _restore(manifest, files, searched_by, reranker, in_bytes=in_bytes)
     except ArtefactError:
         raise
     except KeyError as error:
@@ -158,6 +163,8 @@ def _restore(
     files: dict[str, Any],
     searched_by: Neighbours | None,
     reranker: RankingModel | None,
+    *,
+    in_bytes: bool,
 ) -> PoseIndex:
     learned = {
         name.removeprefix("descriptor-"): array
@@ -167,7 +174,7 @@ def _restore(
     return PoseIndex(
         name=manifest["name"],
         descriptor=restore(manifest["descriptor"], learned),
-        vectors=_vectors(files.pop("descriptors.faiss")),  # Frees 38 MB.
+        vectors=_vectors(files.pop("descriptors.faiss"), in_bytes=in_bytes),  # Frees 38 MB.
         entries=files["entries"],
         skeletons=files["skeletons"],
         skeleton_labels=files["skeleton-labels"],
@@ -187,12 +194,12 @@ def _restore(
     )
 
 
-def _vectors(content: bytes) -> ExactNeighbours:
+def _vectors(content: bytes, *, in_bytes: bool) -> ExactNeighbours:
     flat = faiss.deserialize_index(np.frombuffer(content, np.uint8))
     if type(flat) is not faiss.IndexFlatL2:
         raise ValueError(f"expected a FAISS IndexFlatL2, got {type(flat).__name__}")
     values = faiss.rev_swig_ptr(flat.get_xb(), flat.ntotal * flat.d)
-    return ExactNeighbours(values.reshape(flat.ntotal, flat.d))
+    return ExactNeighbours(values.reshape(flat.ntotal, flat.d), in_bytes=in_bytes)
 
 
 def _read_manifest(path: Path) -> dict[str, Any]:

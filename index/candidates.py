@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import principal_axis_deg, rotate_silhouette
-from index.search import NearestEntries
 from index.skeleton import mirror_3d, mirror_normalised, rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
 
@@ -62,31 +61,20 @@ def _ratio(silhouette: NDArray[np.uint8]) -> float:
     return width / max(height, 1)
 
 
-ROTATION_STEP_DEG = 15.0
-"""With landmarks, rotations are searched in multiples of this."""
-
-MAX_ROTATIONS = 2
-"""Most rotations that are searched with landmarks."""
-
-MIN_ROTATION_SHARE = 0.2
-"""Smallest share of the entries near the landmarks for which a rotation is searched."""
+# Difference of a trunk's tilt from the usual rotations from which it is searched as well.
+_MIN_TILT_DEG = 12.0
 
 
-def landmark_rotations(usual: Sequence[float], roll_deg: NDArray[np.float64]) -> list[float]:
-    """Rotations in degrees that the entries near the landmarks suggest, most frequent first.
+def landmark_rotations(usual: tuple[float, ...], tilt_deg: float) -> tuple[float, ...]:
+    """At most two rotations in degrees, for a trunk tilted by ``tilt_deg`` in the silhouette.
 
-    They are the usual ones, from :func:`silhouette_rotations`, or multiples of
-    :data:`ROTATION_STEP_DEG`. The rotations ``(K,)`` of the entries are those of
-    :class:`index.search.NearestEntries`.
+    The first is the first of the usual ones, from :func:`silhouette_rotations`. The second, if
+    there is one, is that of the trunk, or the usual one that is nearly that.
     """
-    rounded = wrap_degrees(np.rint(roll_deg / ROTATION_STEP_DEG) * ROTATION_STEP_DEG)
-    apart = np.abs(wrap_degrees(rounded[:, None] - np.array(usual)))
-    nearest = np.array(usual)[apart.argmin(axis=1)]
-    rounded = np.where(apart.min(axis=1) <= ROTATION_STEP_DEG / 2, nearest, rounded)
-    rotations, counts = np.unique(rounded, return_counts=True)
-    order = np.argsort(-counts, kind="stable")[:MAX_ROTATIONS]
-    likely = rotations[order][counts[order] >= MIN_ROTATION_SHARE * len(rounded)]
-    return [float(one) for one in (likely if len(likely) else rotations[order[:1]])]
+    apart = [abs(float(wrap_degrees(tilt_deg - one))) for one in usual]
+    nearest = usual[apart.index(min(apart))]
+    second = nearest if min(apart) < _MIN_TILT_DEG else tilt_deg
+    return usual[:1] if second == usual[0] else (usual[0], second)
 
 
 @dataclass(frozen=True)
@@ -113,31 +101,41 @@ class Candidates:
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
-def find_candidates(
+def find_candidates(index: PoseIndex, queries: Sequence[RotatedQuery], k: int) -> Candidates:
+    """Find the ``k`` entries nearest to each rotation of a silhouette, in one search.
+
+    Nearest first, with their skeletons rotated to fit the query.
+    """
+    vectors = _described(index, queries)
+    return _candidates(index, queries, vectors, *_nearest_entries(index, vectors, k))
+
+
+def sample_candidates(index: PoseIndex, queries: Sequence[RotatedQuery], count: int) -> Candidates:
+    """A fixed sample of ``count`` entries and their mirror images, in each rotation.
+
+    In place of :func:`find_candidates` for a silhouette that shows part of a body.
+    """
+    spaced = np.linspace(0, len(index) - 1, min(count, len(index))).astype(np.int64)
+    every = np.meshgrid(np.arange(len(queries)), spaced, [0, 1], indexing="ij")
+    rows, entry_ids, mirrored = (one.ravel() for one in every)
+    return _candidates(index, queries, _described(index, queries), entry_ids, mirrored == 1, rows)
+
+
+def _described(index: PoseIndex, queries: Sequence[RotatedQuery]) -> NDArray[np.float32]:
+    """Descriptors ``(Q, D)`` of queries."""
+    return index.descriptor.describe(np.stack([query.silhouette for query in queries]))
+
+
+def _candidates(
     index: PoseIndex,
     queries: Sequence[RotatedQuery],
-    k: int,
-    nearest: NearestEntries | None = None,
+    vectors: NDArray[np.float32],
+    entry_ids: NDArray[np.int64],
+    mirrored: NDArray[np.bool_],
+    rows: NDArray[np.int64],
 ) -> Candidates:
-    """Find the ``k`` entries nearest to each rotation of a silhouette, and compare other entries.
-
-    ``nearest`` are entries near the landmarks; each is compared with the rotation nearest to its
-    own. With a ``k`` of 0, only these are returned. Each candidate is listed once, nearest first,
-    with its skeleton rotated to fit the query.
-    """
-    vectors = index.descriptor.describe(np.stack([query.silhouette for query in queries]))
-    found = []
-    if nearest is not None:
-        rotations_deg = np.array([query.rotation_deg for query in queries])
-        apart = np.abs(wrap_degrees(nearest.roll_deg[:, None] - rotations_deg))
-        found.append((nearest.entry_ids, nearest.mirrored, apart.argmin(axis=1)))
-    if k:
-        found.append(_nearest_entries(index, vectors, k))
-    entry_ids, mirrored, rows = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    keys = (2 * entry_ids + mirrored) * len(queries) + rows
-    once = np.sort(np.unique(keys, return_index=True)[1])
-    rows = rows[once]
-    candidates = _compare(index, vectors[rows], entry_ids[once], mirrored[once])
+    """Entries ``(K,)``, mirrored or not, each compared with and rotated as the query in its row."""
+    candidates = _compare(index, vectors[rows], entry_ids, mirrored)
     for row, query in enumerate(queries):
         _rotate(candidates, rows == row, query)
     return candidates.take(np.argsort(candidates.distances, kind="stable"))

@@ -1,8 +1,8 @@
 """From a silhouette and landmarks to distinct poses in the order of their rank.
 
-The entries nearest to the landmarks are candidates as well as those nearest to the silhouette.
-Candidates are weighted by their agreement with the landmarks, and modes are fitted to the
-landmarks. The best mode is also returned at other depths. Hypotheses include both facings.
+The entries nearest to the silhouette are candidates. They are weighted by their agreement with the
+landmarks, and modes are fitted to the landmarks. The best mode is also returned at other depths.
+Hypotheses include both facings.
 """
 
 import math
@@ -18,10 +18,17 @@ from index.candidates import (
     RotatedQuery,
     find_candidates,
     landmark_rotations,
+    sample_candidates,
     silhouette_rotations,
 )
 from index.confidence import fused_confidences
-from index.facing import faces_camera, front_share, heading_shares, nearest_of_both_facings
+from index.facing import (
+    azimuth_deg,
+    faces_camera,
+    front_share,
+    heading_shares,
+    nearest_of_both_facings,
+)
 from index.landmarks import (
     DISTANCE_WEIGHT,
     Agreement,
@@ -43,13 +50,11 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, depth_modes, find_modes, likely_weights
-from index.search import NearestEntries
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
     mean_joint_distance,
     moved_in_depth,
-    rotate_clockwise,
 )
 from index.store import PoseIndex
 
@@ -75,7 +80,7 @@ def match_landmarks(
         the silhouette is wide.
     whole : bool
         Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
-        candidates.
+        candidates, from a sample of the index.
     outlines : int, optional
         How many hypotheses, best first, have an outline distance; by default all.
     """
@@ -146,9 +151,13 @@ def _weighted(
     return weighted + unlike(facing[1:], weighted), len(weighted)
 
 
-# Number of entries nearest to each rotation of the silhouette, number of entries nearest to the
-# landmarks, and number of the best of both, from which the modes are made.
-_SILHOUETTE_CANDIDATES, _LANDMARK_CANDIDATES, _KEPT_CANDIDATES = 150, 50, 200
+# Entries nearest to each rotation of the silhouette, and how many of them, those that agree best
+# with the landmarks, make the modes.
+_CANDIDATES, _KEPT = 500, 100
+# The same where the silhouette is not whole: entries of a sample, and how many are kept.
+_SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
+# Candidates that decide which action is the usual one, for each that is kept.
+_VOTES_PER_KEPT = 3
 
 
 @dataclass(frozen=True)
@@ -160,24 +169,21 @@ class _LandmarkQuery(Query):
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
         """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
-        candidates, _, modes = self._modes(n)
-        modes, distances = self._fitted(candidates, modes)
+        candidates, _, modes, typical = self._modes(n)
+        modes, distances = self._fitted(candidates, modes, typical)
         distances = np.maximum(distances, at_least)
         confidence = _confidences(candidates, modes, distances)
         return self.hypotheses(candidates, modes, distance=distances, confidence=confidence)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
         """Find the first hypotheses, and the best one at other depths; both nearest first."""
-        candidates, agreement, modes = self._modes(DEFAULT_HYPOTHESES)
-        modes, distances = self._fitted(candidates, modes)
+        candidates, agreement, modes, typical = self._modes(DEFAULT_HYPOTHESES)
+        modes, distances = self._fitted(candidates, modes, typical)
         # Of the hypotheses, one is the mode as found, and one faces the opposite way.
         depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
-        others = Modes(
-            depths.rows,
-            depths.shares,
-            candidates.distances[depths.rows],
-            moved_in_depth(modes.points_3d[0], depths.offsets),
-            modes.points_normalised[:1].repeat(len(depths.rows), axis=0),
+        first = modes.take(np.zeros(len(depths.shares), np.int64))
+        others = replace(
+            first, votes=depths.shares, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets)
         )
         confidences = _confidences(candidates, modes, distances)
         other_distances = distances[0] * np.exp(depths.misfits / DISTANCE_WEIGHT)
@@ -191,10 +197,14 @@ class _LandmarkQuery(Query):
         found, alternatives = both[: len(modes)], both[len(modes) :]
         return found, sorted(alternatives, key=lambda one: one.distance)
 
-    def _fitted(self, candidates: Candidates, modes: Modes) -> tuple[Modes, NDArray[np.float64]]:
+    def _fitted(
+        self, candidates: Candidates, modes: Modes, typical: NDArray[np.bool_]
+    ) -> tuple[Modes, NDArray[np.float64]]:
         """Modes fitted to the landmarks, nearest first, and their distances.
 
-        They are compared before the fit: a pose that must change far to fit is less likely.
+        They are compared before the fit: a pose that must change far to fit is less likely. Their
+        centres become the entries that look most like them: of the typical candidates ``(K,)`` that
+        face as they do, the one with the nearest silhouette.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
         _, tilt_deg = self.rotations(candidates.take(modes.centres))
@@ -204,51 +214,57 @@ class _LandmarkQuery(Query):
         points_3d, placed = fit_to_landmarks(
             self.landmarks, modes.points_3d, modes.points_normalised
         )
-        return replace(modes, points_3d=points_3d, points_normalised=placed), distances[nearest]
+        facing, front = (
+            faces_camera(azimuth_deg(one)) for one in (candidates.points_3d, points_3d)
+        )
+        like = ((facing == front[:, None]) + 2 * typical).argmax(
+            axis=1
+        )  # The first is the nearest.
+        modes = replace(modes, centres=like, points_3d=points_3d, points_normalised=placed)
+        return modes, distances[nearest]
 
-    def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes]:
-        """Modes of candidates near the silhouette and the landmarks, weighted by agreement.
+    def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes, NDArray[np.bool_]]:
+        """Modes of the candidates that agree best with the landmarks, and these candidates.
 
-        Unless the silhouette is whole, only entries near the landmarks are candidates.
+        Also whether the action of each is that of most candidates.
         """
-        growth = max(1, math.ceil(CANDIDATES_PER_HYPOTHESIS * n / _SILHOUETTE_CANDIDATES))
-        nearest = self._near_landmarks(growth)
+        growth = max(1, math.ceil(CANDIDATES_PER_HYPOTHESIS * n / _CANDIDATES))
         usual = silhouette_rotations(self.silhouette, self.roll_deg)
-        rotations = landmark_rotations(usual, nearest.roll_deg)
+        rotations = landmark_rotations(usual, _trunk_tilt_deg(self.landmarks.limbs_3d))
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         known = 0
         while True:
-            k = growth * _SILHOUETTE_CANDIDATES if self.whole else 0
-            candidates = find_candidates(self.index, queries, k, nearest)
-            exhausted, known = len(candidates) <= known, len(candidates)
-            candidates, agreement = self._likeliest(candidates, growth * _KEPT_CANDIDATES)
-            weights = likely_weights(candidates.distances, agreement)
+            if self.whole:
+                found = find_candidates(self.index, queries, growth * _CANDIDATES)
+                kept = self._likeliest(found, found.distances, growth * _KEPT)
+            else:
+                found = sample_candidates(self.index, queries, growth * _SAMPLE)
+                found = _placed_by_landmarks(found, self.landmarks)
+                kept = self._likeliest(found, np.ones(len(found)), growth * _KEPT_OF_SAMPLE)
+            candidates, agreement, weights, typical = kept
             modes = find_modes(
                 candidates, weights, n + SPARE_MODES, residuals=[agreement.residuals]
             )
+            exhausted, known = len(found) <= known, len(found)
             if len(modes) >= n or exhausted or growth >= MAX_CANDIDATE_GROWTH:
-                return candidates, agreement, modes
+                return candidates, agreement, modes, typical
             growth *= 2
-            nearest = self._near_landmarks(growth)
 
-    def _near_landmarks(self, growth: int) -> NearestEntries:
-        """Entries near the landmarks in three dimensions, with their rotations in the query."""
-        limbs_3d = rotate_clockwise(self.landmarks.limbs_3d, -self.roll_deg)
-        nearest = self.index.landmark_search.nearest(
-            limbs_3d, _likely_rolls(limbs_3d), growth * _LANDMARK_CANDIDATES
-        )
-        entry_roll_deg = self.index.roll_deg(nearest.entry_ids, nearest.mirrored)
-        return replace(nearest, roll_deg=nearest.roll_deg - entry_roll_deg + self.roll_deg)
+    def _likeliest(
+        self, candidates: Candidates, distances: NDArray[np.float64], count: int
+    ) -> tuple[Candidates, Agreement, NDArray[np.float64], NDArray[np.bool_]]:
+        """Candidates with the largest weights, ordered by distance, their agreement and weights.
 
-    def _likeliest(self, candidates: Candidates, count: int) -> tuple[Candidates, Agreement]:
-        """Candidates with the largest weights, ordered by distance, with their agreement."""
-        if not self.whole:
-            candidates = _placed_by_landmarks(candidates, self.landmarks)
+        Also whether the action of each is that of most candidates.
+        """
         agreement = self.landmarks.compare(candidates.points_normalised, candidates.points_3d)
-        distances = candidates.distances if self.whole else np.ones(len(candidates))
-        kept = np.argsort(-likely_weights(distances, agreement), kind="stable")[:count]
-        kept.sort()  # Back in ascending distance.
-        return candidates.take(kept), agreement.take(kept)
+        weights = likely_weights(distances, agreement)
+        likeliest = np.argsort(-weights, kind="stable")
+        skeletons = self.index.entries["skeleton"][candidates.entry_ids]
+        actions = self.index.skeleton_labels["action"][skeletons]
+        typical = actions == np.bincount(actions[likeliest[: _VOTES_PER_KEPT * count]]).argmax()
+        kept = np.sort(likeliest[:count])  # Back in ascending distance.
+        return candidates.take(kept), agreement.take(kept), weights[kept], typical[kept]
 
 
 def _confidences(
@@ -259,16 +275,11 @@ def _confidences(
     return fused_confidences(distances, adjusted_m)
 
 
-# Tilt of the trunk below which landmarks are searched only as they are.
-_MAX_UPRIGHT_TRUNK_DEG = 12.0
-
-
-def _likely_rolls(limbs_3d: NDArray[np.float64]) -> tuple[float, ...]:
-    """Rolls of the camera that limbs ``(12, 3)`` suggest: 0, and the tilt of the trunk."""
+def _trunk_tilt_deg(limbs_3d: NDArray[np.float64]) -> float:
+    """Clockwise tilt in the picture of the trunk of limbs ``(12, 3)``: 0 if upright."""
     hips, shoulders = (limbs_3d[pair].mean(axis=0) for pair in (LIMB_HIPS, LIMB_SHOULDERS))
     right, down, _ = (shoulders - hips).tolist()
-    roll_deg = float(np.rad2deg(np.arctan2(right, -down)))
-    return (0.0,) if abs(roll_deg) < _MAX_UPRIGHT_TRUNK_DEG else (0.0, roll_deg)
+    return float(np.rad2deg(np.arctan2(right, -down)))
 
 
 # Smallest scale at which candidates are placed by landmarks.

@@ -61,7 +61,8 @@ class PoseHypothesis:
     Parameters
     ----------
     entry_id : int
-        The entry at the centre of the entries that agree on this pose.
+        The entry at the centre of the entries that agree on this pose; with landmarks, one with a
+        near silhouette and the usual action among them.
     mirrored : bool
         Whether the hypothesis is the mirror image of that entry.
     silhouette_distance : float

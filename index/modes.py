@@ -165,8 +165,6 @@ class DepthModes:
 
     Parameters
     ----------
-    rows : (M,) int64 array
-        Rows of the candidates.
     offsets : (M, 12) float64 array
         Depths of the limbs behind the landmarks, metres.
     shares : (M,) float64 array
@@ -175,7 +173,6 @@ class DepthModes:
         Negative log likelihood of the landmarks, relative to that at their own depths.
     """
 
-    rows: NDArray[np.int64]
     offsets: NDArray[np.float64]
     shares: NDArray[np.float64]
     misfits: NDArray[np.float64]
@@ -215,11 +212,8 @@ def depth_modes(
     nearest = _depth_distances(truths, modes).argmin(axis=1)
     cells = np.asarray(np.bincount(nearest, shares, len(modes)), np.float64)
     offsets = modes[1:]
-    # The squares of distances stand for the likelihoods of entries.
-    squares = len(LIMBS) * _depth_distances(offsets, apart) ** 2 / (2 * _ENTRY_DEPTH_SD_M**2)
-    rows = np.asarray((squares - log_weights).argmin(axis=1))
     misfits = ((offsets @ np.linalg.inv(errors)) * offsets).sum(axis=1) / 2
-    return DepthModes(rows, offsets, cells[1:], misfits)
+    return DepthModes(offsets, cells[1:], misfits)
 
 
 def spread_modes(

@@ -47,6 +47,18 @@ COMMANDS = {
         "scripts.training.fit_people",
         "fit detection scores and confidence to photographs",
     ),
+    "fit-paper": (
+        "scripts.training.fit_paper",
+        "fit confidence and detection score of the paper's method",
+    ),
+    "simulate-paper": (
+        "scripts.experiments.paper_simulation",
+        "render the data of the paper's experiments",
+    ),
+    "render-held-out": (
+        "scripts.experiments.rendered_people",
+        "render the people on whom steps are compared",
+    ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),
@@ -72,7 +84,7 @@ MOVED = {"watch-camera": "`silhouette-pose-watch` or `python -m app.bridge`"}
 _SMALLER = {
     "track_video": (".venv", ".venv/.stamp"),
     "load": (".venv-dev", ".venv-dev/.stamp"),
-    "mutants": (".venv-dev", "mutants"),
+    "mutants": (".venv-dev", ".venv-dev/.stamp"),
 }
 """Environments of gigabytes less than ``.venv-build`` that have what some modules need, and the
 targets of make that install it."""

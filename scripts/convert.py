@@ -13,13 +13,13 @@ converted, and its rounding trained, by revision 28ea9a5: docs/training.md.
 """
 
 import argparse
-import hashlib
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-MODELS = Path(__file__).resolve().parent.parent / "app" / "vision" / "models"
+from app.networks.shipped import FOLDER
+from scripts.training.shipping import record_hash
 
 DETECTION = "mediapipe/modules/pose_detection/pose_detection.tflite"
 LANDMARKS = "mediapipe/modules/pose_landmark/pose_landmark_full.tflite"
@@ -143,11 +143,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("network", choices=converters)
     parser.add_argument("source", type=Path, help="the published network, as above")
-    parser.add_argument("--out", type=Path, default=MODELS)
+    parser.add_argument("--out", type=Path, default=FOLDER)
     options = parser.parse_args(arguments)
     if options.source.resolve().parent == options.out.resolve():
         parser.error(f"--out: expected another folder than that of {options.source}")
     options.out.mkdir(parents=True, exist_ok=True)
     for name, content in converters[options.network](options.source).items():
         (options.out / name).write_bytes(content)
-        print(f"{name}: {len(content)} bytes, sha256 {hashlib.sha256(content).hexdigest()}")
+        record_hash(options.out / name)

@@ -1,6 +1,7 @@
-"""Run experiments, and write figures and page of each into ``docs/results``.
+"""Run experiments; print the page of each, and write it and its figures into ``docs/results``.
 
     python -m scripts evaluate paper        the experiments of Atrevi et al. (2016)
+    python -m scripts evaluate stages       what each step adds, from the paper's path on
     python -m scripts evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts evaluate real         photographs and videos of ../shared/real
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
@@ -24,7 +25,8 @@ from scripts.figures import write
 from scripts.results import RESULTS, SHARED
 
 EXPERIMENTS = {
-    "paper": "paper-noise",
+    "paper": "paper",
+    "stages": "stages",
     "simulation": "simulation",
     "real": "real",
     "people": "people",
@@ -72,4 +74,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if figures is not None:
             command = f"python -m scripts evaluate {name}"
             write(options.out, EXPERIMENTS[name], command, figures)
+            print((options.out / f"{EXPERIMENTS[name]}.md").read_text())
         print(f"{name} took {(time.monotonic() - started) / 60:.1f} minutes")

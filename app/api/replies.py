@@ -15,6 +15,7 @@ from app.cameras import CameraSettings, CameraSummary, SessionSummary
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.estimation.upload import MIN_BOX_PX
 from app.film import TrackSummary, VideoEnd, VideoSummary
+from app.settings import Method
 from app.tracking.results import (
     EVENT_NAMES,
     Event,
@@ -154,7 +155,9 @@ def frame_fields(seen: Estimate, index: PoseIndex, form: ReplyForm) -> dict[str,
     }
 
 
-def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexResponse:
+def index_reply(
+    index: PoseIndex, version: str, revision: str, method: Method
+) -> schemas.IndexResponse:
     """Describe an index."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse(
@@ -170,7 +173,11 @@ def index_reply(index: PoseIndex, version: str, revision: str) -> schemas.IndexR
         subjects=list(index.subjects),
         attribution=str(parameters.pop("attribution", "")),
         parameters=parameters,
-        service=schemas.ServiceVersion(version=version, revision=revision, detector="network"),
+        service=schemas.ServiceVersion(
+            version=version,
+            revision=revision,
+            detector="hog" if method == "paper" else "network",
+        ),
     )
 
 

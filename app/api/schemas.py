@@ -253,8 +253,8 @@ class SilhouetteSummary(Model):
 
     area_px: int = Field(ge=0, description="Pixels of the frame.", examples=[3120])
     segmenter: str = Field(
-        description="What segmented it: `network`, `background` (the difference from it), or the "
-        "caller's `mask`.",
+        description="What segmented it: `network`, `background` (the difference from it), "
+        "`grabcut` (colours, with `method=paper`), or the caller's `mask`.",
         examples=["network"],
     )
     truncated: bool = Field(
@@ -538,9 +538,10 @@ class ServiceVersion(Model):
 
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
-    detector: Literal["network"] = Field(
-        description="Person detector: MoveNet's and BlazePose's networks, whose detections HOG "
-        "and an object detector score again.",
+    detector: Literal["network", "hog"] = Field(
+        description="Person detector of requests that name no method. `network`: MoveNet's and "
+        "BlazePose's networks, whose detections HOG and an object detector score again; `hog`: "
+        "HOG over many scales, with `POSE_METHOD=paper`.",
         examples=["network"],
     )
 

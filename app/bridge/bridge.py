@@ -5,7 +5,7 @@ import json
 import threading
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,6 +16,8 @@ from app.bridge.service import Camera
 from app.bridge.source import Frame, Source
 
 STATUS_EVERY_S = 10.0
+HELD_S = 2.0
+"""Time without a sighting after which a person is gone; a session looks for nobody longer."""
 _NO_KEY = (401, 403)
 _NO_CAMERA = (404, 405, 422)
 """Statuses that end the bridge before a frame was answered: the set-up is wrong. Later, the service
@@ -23,42 +25,35 @@ may recover."""
 
 
 class Presence:
-    """The people before a camera and in its zones, by events: steadier than single frames."""
+    """The people before a camera and in its zones, by the service's answers.
+
+    Events say less: a camera may be set to raise only some. A person whom frames do not show stays
+    for :data:`HELD_S`, or until ``left`` is raised.
+    """
 
     def __init__(self) -> None:
-        self._people: set[int] = set()
-        self._zones: dict[str, set[int]] = {}
+        self._seen: dict[int, tuple[float, list[str]]] = {}  # Time and zones by identity.
 
     @property
     def track_ids(self) -> list[int]:
         """Identities of the people."""
-        return sorted(self._people)
+        return sorted(self._seen)
 
     def is_occupied(self, zone: str) -> bool:
         """Whether a person is in a zone."""
-        return bool(self._zones.get(zone))
+        return any(zone in zones for _, zones in self._seen.values())
 
-    def begin(self, persons: Iterable[Mapping[str, Any]]) -> None:
-        """Begin with the people of a frame whose history is not known."""
-        self._people, self._zones = set(), {}
-        for person in persons:
-            self._people.add(person["track_id"])
-            for zone in person["zones"]:
-                self._zones.setdefault(zone, set()).add(person["track_id"])
-
-    def update(self, event: Mapping[str, Any]) -> None:
-        """Update the people by an event."""
-        person = event["track_id"]
-        if event["event"] == "entered":
-            self._people.add(person)
-        elif event["event"] == "left":
-            self._people.discard(person)
-            for inside in self._zones.values():
-                inside.discard(person)
-        elif event["event"] == "zone_entered":
-            self._zones.setdefault(event["zones"][0], set()).add(person)
-        elif event["event"] == "zone_left":
-            self._zones.get(event["zones"][0], set()).discard(person)
+    def update(self, answer: Mapping[str, Any], *, anew: bool = False) -> None:
+        """Add the people of a frame; ``anew`` says that earlier ones have other identities."""
+        now = answer["timestamp"]
+        left = {one["track_id"] for one in answer["events"] if one["event"] == "left"}
+        before = {} if anew or answer["reset"] else self._seen
+        self._seen = {
+            person: (seen_at, zones)
+            for person, (seen_at, zones) in before.items()
+            if person not in left and now - seen_at <= HELD_S
+        }
+        self._seen |= {one["track_id"]: (now, one["zones"]) for one in answer["persons"]}
 
 
 class Bridge:
@@ -75,6 +70,7 @@ class Bridge:
         self._presence = Presence()
         self._obstructed = False
         self._zones: list[str] | None = None  # Not known before the service has named them.
+        self._raises_left = True
         self._trouble = Trouble("the service answers again")
         # Whether the service may list events that were not passed on.
         self._missed_events = True
@@ -91,7 +87,7 @@ class Bridge:
             if answer is not None and began >= status_at:
                 status_at = began + STATUS_EVERY_S
                 say(f"{status(answer)}; {self.answered} of {frame.number + 1} frames")
-                self._read_zones()
+                self._read_settings()
             stopping.wait(max(wait_s, began + 1 / fps - time.monotonic()))
         say(f"the end: {self.answered} frames were answered")
 
@@ -134,14 +130,13 @@ class Bridge:
     def _hand_on(self, is_new: bool, answer: Mapping[str, Any]) -> None:
         if is_new and self.answered:
             say("the service had forgotten this camera: people are numbered anew")
-            for track_id in self._presence.track_ids:
+            for track_id in self._presence.track_ids if self._raises_left else ():
                 self._pass_on(self._message(_left(track_id, answer["timestamp"])))
         if answer["reset"]:
             say(f"people are followed anew: {answer['reset']}")
         for event in answer["events"]:
             self._pass_on(self._message(event))
-        if is_new or not self.answered:
-            self._presence.begin(answer["persons"])
+        self._presence.update(answer, anew=is_new)
         self._obstructed = "obstructed" in answer["image"]["warnings"]
         self.answered += 1
         self._show()
@@ -152,7 +147,6 @@ class Bridge:
         except OSError as error:  # A file on a full disk, or a pipe that nobody reads.
             say(f"an event was not printed: {error}")
         self._outbox.put(message)
-        self._presence.update(message)
 
     def _message(self, event: Mapping[str, Any]) -> Message:
         """An event with the camera, the time of day, and an id that is always the same."""
@@ -161,11 +155,12 @@ class Bridge:
         event_id = uuid.uuid5(uuid.NAMESPACE_OID, json.dumps([camera_id, event], sort_keys=True))
         return {"id": str(event_id), "camera_id": camera_id, "time": moment, **event}
 
-    def _read_zones(self) -> None:
+    def _read_settings(self) -> None:
         try:
-            self._zones = self._camera.zones()
+            self._zones, events = self._camera.settings()
         except (UnavailableError, RefusedError):
             return  # The next frame meets the same.
+        self._raises_left = "left" in events
         self._show()
 
     def _show(self) -> None:

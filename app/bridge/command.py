@@ -26,7 +26,7 @@ from typing import NoReturn
 from urllib.parse import SplitResult, urlsplit
 
 from app.bridge.bridge import Bridge
-from app.bridge.common import RefusedError, say
+from app.bridge.common import RefusedError, printable, say
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Outbox, deliver
 from app.bridge.service import Camera
@@ -71,7 +71,7 @@ def run(arguments: Sequence[str] | None = None, signals: Sequence[int] = ()) -> 
         work = (outbox, closing, name, *calls)
         threading.Thread(target=deliver, args=work, daemon=True).start()
     bridge = Bridge(Camera(options.url, options.camera_id, options.api_key), outbox, home_assistant)
-    source = Source(options.source)
+    source = Source(options.source, options.fps)
     watching = ThreadPoolExecutor(1).submit(bridge.watch, source, options.fps, stopping)
     while not signals and (not watching.done() or (not watching.exception() and len(outbox))):
         time.sleep(_POLL_S)
@@ -92,7 +92,7 @@ def _status(watching: Future[None]) -> int:
         if watching.done():
             watching.result()
     except RefusedError as refusal:
-        print(f"{PROGRAM}: the service refuses: {refusal}", file=sys.stderr)
+        print(f"{PROGRAM}: the service refuses: {printable(str(refusal))}", file=sys.stderr)
         return 1
     return 0
 

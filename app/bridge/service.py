@@ -10,6 +10,7 @@ from app.bridge.common import Connection, RefusedError, UnavailableError
 from app.bridge.source import Frame
 
 _TIMEOUT_S = 20.0
+_MAX_BYTES = 16 * 2**20
 
 
 class Camera:
@@ -17,7 +18,7 @@ class Camera:
 
     def __init__(self, address: SplitResult, camera_id: str, api_key: str | None) -> None:
         self.camera_id = camera_id
-        self._connection = Connection(address, _TIMEOUT_S)
+        self._connection = Connection(address, _TIMEOUT_S, _MAX_BYTES)
         self._path = f"{address.path.rstrip('/')}/cameras/{camera_id}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
 
@@ -27,9 +28,10 @@ class Camera:
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
         return self._send("POST", f"/frames?{query}", "persons", encoded)
 
-    def zones(self) -> list[str]:
-        """Return the names of the camera's zones; it has sent a frame."""
-        return [zone["name"] for zone in self._send("GET", "", "zones")[1]["zones"]]
+    def settings(self) -> tuple[list[str], list[str]]:
+        """Return the names of the camera's zones, and the events it raises; it has sent a frame."""
+        camera = self._send("GET", "", "zones")[1]
+        return [zone["name"] for zone in camera["zones"]], camera["events"]
 
     def events(self) -> list[dict[str, Any]]:
         """Return the latest events of the camera, oldest first; none if it is not known."""
@@ -50,6 +52,6 @@ class Camera:
         try:
             parsed = json.loads(content)
             parsed[expected]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise UnavailableError(f"expected JSON with {expected}, got something else") from None
         return answer["X-Session"] == "new", parsed

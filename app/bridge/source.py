@@ -1,5 +1,6 @@
 """The newest frame of a file, a device or a stream."""
 
+import math
 import threading
 import time
 from collections.abc import Iterator
@@ -12,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bridge.common import Trouble, say
-from app.video.frames import UnreadableError, Video
+from app.bridge.decoder import Decoder
+from app.video.frames import UnreadableError
 
-STREAM_TIMEOUT_S = 10.0
 # A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
 # that is earlier than the last begins anew, so none is refused for being late.
 _CLOCK_SET_S = 6.0
@@ -32,10 +33,10 @@ class Frame(NamedTuple):
 
 
 class Source:
-    """Reads frames in a thread of its own and keeps only the newest."""
+    """Reads up to ``fps`` frames a second in a thread of its own and keeps only the newest."""
 
-    def __init__(self, source: str) -> None:
-        self._source = source
+    def __init__(self, source: str, fps: float = math.inf) -> None:
+        self._source, self._interval_s = source, 1 / fps
         self.is_file = Path(source).is_file()
         self._newest: Frame | None = None
         self._number = 0
@@ -73,9 +74,10 @@ class Source:
             self._changed.notify()
 
     def _read_once(self) -> None:
-        began, last_s = time.monotonic(), 0.0
+        began, last_s = math.inf, 0.0
         for elapsed_s, pixels in self._pictures():
             moment = time.monotonic()
+            began = min(began, moment)  # With the first frame.
             if self.is_file:
                 # Play it as fast as it was filmed.
                 if elapsed_s - last_s > _JUMP_S:
@@ -107,9 +109,6 @@ class Source:
                 yield 0.0, np.asarray(read[1], np.uint8)
             device.release()
             return
-        # A file's name may look like an address. Streams over UDP lose parts of frames.
-        address = f"file:{self._source}" if self.is_file else self._source
-        options = {} if self.is_file else {"rtsp_transport": "tcp"}
-        with closing(Video(address, options, STREAM_TIMEOUT_S)) as video:
-            for frame in video.frames():
-                yield frame.timestamp, frame.pixels
+        source = Path(self._source) if self.is_file else self._source
+        with closing(Decoder(source, self._interval_s)) as decoder:
+            yield from decoder.frames()

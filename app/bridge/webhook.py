@@ -7,6 +7,7 @@ from app.bridge.common import Connection, RefusedError, UnavailableError
 from app.bridge.outbox import Message
 
 _TIMEOUT_S = 10.0
+_MAX_BYTES = 2**16
 _REFUSED = (400, 405, 410, 413, 415, 422)
 """Statuses after which the same event would be refused again."""
 
@@ -15,7 +16,7 @@ class Webhook:
     """Posts each event; the header ``Idempotency-Key`` has its id."""
 
     def __init__(self, address: SplitResult) -> None:
-        self._connection = Connection(address, _TIMEOUT_S)
+        self._connection = Connection(address, _TIMEOUT_S, _MAX_BYTES)
         self._target = (address.path or "/") + (f"?{address.query}" if address.query else "")
 
     def send(self, message: Message) -> None:

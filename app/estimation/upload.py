@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.decoding.workers import Allowance, Workers
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (
@@ -20,12 +21,11 @@ from app.vision.images import (
     Photograph,
     blank_image,
     decode_image,
+    is_expensive,
 )
-from app.vision.masks import LabelImage, decode_mask
+from app.vision.masks import LabelImage, decode_mask, mask_of
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
 from app.vision.rectification import Rectification
-
-T = TypeVar("T")
 
 _MAX_FRAMES_OF_PEOPLE = 4
 """A caller's boxes may together cover this many times the area of the largest frame. The boxes of a
@@ -64,18 +64,20 @@ class UploadError(ValueError):
 
 @dataclass(frozen=True)
 class Upload:
-    """Encoded images of one size and, if known, where the people are.
+    """Images of one size and, if known, where the people are.
 
-    The frame is a photograph, encoded or ``(H, W, 3)`` BGR pixels; it may be missing if there is a
-    mask. A mask is a label image: 0 is background, k is person k. It cannot be combined with boxes,
-    which are in pixels of the frame, or with a background, a photograph of the empty scene.
+    Each image is the bytes of a file or an array. The frame is a photograph, as an array ``(H, W,
+    3)`` of uint8, BGR; it may be missing if there is a mask. A mask is a label image, as an array
+    ``(H, W)`` of whole numbers or booleans: 0 is background, k is person k. It cannot be combined
+    with boxes, which are in pixels of the frame, or with a background, a photograph of the empty
+    scene.
     ``track_ids`` are the caller's identities of the people in the boxes. Without optics, a field of
     view is assumed, with square pixels and an upright camera.
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
-    mask: bytes | None = None
-    background: bytes | None = None
+    mask: bytes | NDArray[np.integer] | NDArray[np.bool_] | None = None
+    background: bytes | NDArray[np.uint8] | None = None
     boxes: Sequence[Box] | None = None
     track_ids: Sequence[str] | None = None
     optics: Optics = UNKNOWN_OPTICS
@@ -87,6 +89,10 @@ class Upload:
         return tuple(name for name in names if getattr(self, name) is not None)
 
     def __post_init__(self) -> None:
+        for name in ("frame", "background", "mask"):
+            _check_kind(name, getattr(self, name))
+        if self.boxes is not None and not all(isinstance(box, Box) for box in self.boxes):
+            raise UploadError("boxes", "boxes: expected objects of app.Box, got others")
         if self.frame is None and self.mask is None:
             raise UploadError("frame", "frame: expected an image file, got none")
         for name in ("background", "boxes"):
@@ -94,6 +100,27 @@ class Upload:
                 raise UploadError(name, f"expected a mask or {name}, got both")
         if self.track_ids is not None:
             _check_track_ids(self.track_ids, self.boxes)
+
+
+def _check_kind(name: str, given: object) -> None:
+    """Refuse what other libraries hold images in: taken for pixels, they would show nobody."""
+    if given is None or isinstance(given, bytes):
+        return
+    if isinstance(given, np.ndarray) and given.size:
+        is_grey, kind = given.ndim == 2, given.dtype.kind
+        is_bgr = given.ndim == 3 and given.shape[2] == 3 and given.dtype == np.uint8
+        if (is_grey and kind in "bui") if name == "mask" else is_bgr:
+            return
+    array = "(H, W, 3) and dtype uint8, BGR"
+    if name == "mask":
+        array = "(H, W) and dtype uint8, uint16 or bool"
+    got = f"a {type(given).__name__}"
+    if hasattr(given, "shape") and hasattr(given, "dtype"):
+        got += f" of shape {tuple(given.shape)} and dtype {given.dtype}"
+    raise UploadError(
+        name,
+        f"{name}: expected the bytes of an image file or a NumPy array of shape {array}, got {got}",
+    )
 
 
 def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> None:
@@ -133,11 +160,13 @@ class DecodedUpload:
 class UploadDecoder:
     """Decodes uploads; raises :class:`UploadError` for those that cannot be used.
 
-    Images may have ``max_pixels``; boxes or a mask may mark ``max_persons``.
+    Images may have ``max_pixels``; boxes or a mask may mark ``max_persons``. Images that may be
+    expensive are decoded by ``workers``, if there are any.
     """
 
     max_pixels: int
     max_persons: int
+    workers: Workers | None = None
 
     def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
         """Decode all images of an upload and check that they fit together.
@@ -149,11 +178,14 @@ class UploadDecoder:
             ("mask", upload.mask, decode_mask),
             ("background", upload.background, decode_image),
         )
-        sent = [image for image in images if isinstance(image[1], bytes)]
-        decoded: list[Any] = job.map(lambda image: self._decode(*image), sent)
+        sent = [image for image in images if image[1] is not None]
+        allowance = Allowance()
+        decoded: list[Any] = job.map(lambda image: self._decode(job, allowance, *image), sent)
         by_name = dict(zip((name for name, _, _ in sent), decoded, strict=True))
         mask, background = by_name.get("mask"), by_name.get("background")
-        photograph = _photograph(upload.frame, by_name)
+        photograph = by_name.get("frame")
+        if photograph is None:
+            photograph = Photograph(np.zeros((*by_name["mask"].labels.shape, 3), np.uint8))
         frame = photograph.pixels
         if mask is not None:
             self._check_mask(mask, frame)
@@ -188,9 +220,32 @@ class UploadDecoder:
         self._check_count("mask", len(mask.present))
         _check_together(mask)
 
-    def _decode(self, name: str, data: bytes, decode: Callable[..., T]) -> T:
+    def _decode(
+        self,
+        job: Job,
+        allowance: Allowance,
+        name: str,
+        given: bytes | NDArray[Any],
+        decode: Callable[..., Photograph | LabelImage],
+    ) -> Photograph | LabelImage:
+        max_pixels, checkpoint, is_mask = self.max_pixels, job.checkpoint, name == "mask"
         try:
-            return decode(data, max_pixels=self.max_pixels)
+            if not isinstance(given, bytes):
+                return mask_of(given) if is_mask else Photograph.of(np.ascontiguousarray(given))
+            if self.workers is None or not is_expensive(given):
+                return decode(given, max_pixels=max_pixels, checkpoint=checkpoint)
+            values, warnings = self.workers.decode(
+                given,
+                is_mask=is_mask,
+                max_pixels=max_pixels,
+                allowance=allowance,
+                checkpoint=checkpoint,
+            )
+            if is_mask:
+                return LabelImage.of(values)
+            if decode is blank_image:
+                return Photograph(np.zeros_like(values))
+            return Photograph(values, warnings)
         except ImageTooLargeError as error:
             raise UploadError(name, f"{name}: {error}", "too_large") from error
         except ImageError as error:
@@ -223,16 +278,6 @@ class UploadDecoder:
                 f"{name}: expected people whose boxes together hold at most {most} pixels, "
                 f"got {area:.0f}",
             )
-
-
-def _photograph(frame: bytes | NDArray[np.uint8] | None, decoded: Mapping[str, Any]) -> Photograph:
-    """The photograph of a frame; a black one of the mask's size if there is none."""
-    if isinstance(frame, np.ndarray):
-        return Photograph.of(frame)
-    if "frame" in decoded:
-        photograph: Photograph = decoded["frame"]
-        return photograph
-    return Photograph(np.zeros((*decoded["mask"].labels.shape, 3), np.uint8))
 
 
 def _check_size(name: str, image: NDArray[np.generic], frame: NDArray[np.uint8]) -> None:

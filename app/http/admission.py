@@ -1,4 +1,4 @@
-"""Admission: limits on the origin, number, size, memory and duration of uploads.
+"""Admission: limits on the origin, number, size, memory and duration of uploads and their replies.
 
 FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
 refused upload costs neither parsing nor memory, so under overload the cores are left to accepted
@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from app.http.errors import ProblemError, ProblemResponse, busy, overloaded
 from app.http.identity import Caller, Identity, identity_of
+from app.http.routing import RequestState, request_state
 from app.messages import shortened
 from app.scheduling.job import BusyError
 
@@ -27,12 +28,16 @@ CALLER_SHARE = 0.75
 STALLED_S = 1.0
 """An upload without data for this long makes room for another one."""
 
+UNREAD_S = 10.0
+"""So does a reply that the client has not read in this time."""
+
 
 @dataclass(frozen=True)
 class UploadLimits:
     """Limits of request bodies of one kind.
 
-    ``max_held_bytes`` is of all of them together that are received or worked on at the same time.
+    ``max_held_bytes`` is of all of them together that are received or worked on at the same time,
+    and of the replies to them that clients have not read.
     """
 
     max_bytes: int
@@ -41,41 +46,56 @@ class UploadLimits:
 
 
 class _Upload:
-    """A body that is being received."""
+    """A body that is being received or worked on, or whose reply is being sent."""
 
-    def __init__(self, caller: Caller, limits: UploadLimits) -> None:
-        self.caller, self.limits = caller, limits
-        self._started = self._last = asyncio.get_running_loop().time()
+    def __init__(self, caller: Caller, limits: UploadLimits, notes: RequestState) -> None:
+        self.caller, self.limits, self._notes = caller, limits, notes
+        self._started = asyncio.get_running_loop().time()
+        self._waiting_since: float | None = None
         self._timeout: asyncio.Timeout | None = None
-        self.received = 0
+        self.received = self.unsent = 0
         self.complete = False
 
     async def next(self, receive: Receive) -> Message:
         """Return the next message; raise TimeoutError if it does not come in time."""
         grace_s = UPLOAD_GRACE_S + self.received / MIN_BYTES_PER_S
         deadline = self._started + min(self.limits.upload_timeout_s, grace_s)
+        self._waiting_since = asyncio.get_running_loop().time()
         try:
             async with asyncio.timeout_at(deadline) as self._timeout:
                 message = await receive()
         finally:
-            self._timeout = None
-        self._last = asyncio.get_running_loop().time()
+            self._waiting_since = self._timeout = None
         self.received += len(message.get("body", b""))
         self.complete = not message.get("more_body", False)
         return message
 
+    async def send(self, message: Message, send: Send) -> None:
+        """Send a part of the reply; returns once most of it has left."""
+        self.unsent = len(message.get("body", b""))
+        self._waiting_since = asyncio.get_running_loop().time() + UNREAD_S - STALLED_S
+        await send(message)
+        self.unsent, self._waiting_since = 0, None
+
+    @property
+    def held_bytes(self) -> int:
+        """Bytes that are kept in memory for it."""
+        return self.received + self.unsent
+
     def silent_s(self) -> float:
-        """Return the seconds since the last message, 0 while none is awaited."""
-        if self._timeout is None:
+        """Return the seconds for which the client has neither sent nor read what is awaited."""
+        if self._waiting_since is None:
             return 0.0
-        return asyncio.get_running_loop().time() - self._last
+        return asyncio.get_running_loop().time() - self._waiting_since
 
     def abort(self) -> None:
-        """Make :meth:`next` time out now."""
+        """Make :meth:`next` time out now, or end the connection that is not read."""
+        self.received = self.unsent = 0
+        self._waiting_since = None
         if self._timeout is not None:
-            self.received = 0
-            self._last = asyncio.get_running_loop().time()
-            self._timeout.reschedule(self._last)
+            self._timeout.reschedule(asyncio.get_running_loop().time())
+        else:
+            self._notes.hang_up()
 
 
 class AdmissionMiddleware:
@@ -112,7 +132,7 @@ class AdmissionMiddleware:
         if refusal is not None:
             await ProblemResponse(refusal)(scope, receive, send)
             return
-        upload = _Upload(identity_of(scope).caller, limits)
+        upload = _Upload(identity_of(scope).caller, limits, request_state(scope))
         self._uploads.add(upload)
         try:
             await self._admit(upload, scope, receive, send)
@@ -148,7 +168,7 @@ class AdmissionMiddleware:
         """Whether there is memory for an upload to go on."""
         alike = [other for other in self._uploads if other.limits == upload.limits]
         most = upload.limits.max_held_bytes
-        return _has_room(alike, lambda other: other.received, most, upload.caller)
+        return _has_room(alike, lambda other: other.held_bytes, most, upload.caller)
 
     async def _admit(self, upload: _Upload, scope: Scope, receive: Receive, send: Send) -> None:
         async def counting_receive() -> Message:
@@ -170,7 +190,7 @@ class AdmissionMiddleware:
                 raise _too_many()
             return message
 
-        await self.app(scope, counting_receive, send)
+        await self.app(scope, counting_receive, lambda message: upload.send(message, send))
 
 
 def is_foreign(headers: Headers, allowed: Collection[str]) -> bool:

@@ -125,7 +125,7 @@ class Metrics:
         self.sessions = gauge(
             "pose_camera_sessions", "Camera sessions held.")
         self.sequences = gauge(
-            "pose_sequences", "Videos being received or processed.")
+            "pose_sequences", "Videos being processed.")
         # fmt: on
 
     def observe_build(self, version: str, settings: Settings) -> None:

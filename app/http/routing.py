@@ -1,7 +1,7 @@
 """The paths and methods of the service: for logs, metrics, suggestions and HEAD."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from typing import cast
@@ -21,13 +21,14 @@ class RequestState:
 
     ``status`` is that of the reply, once it has begun; ``headers`` are added to it, also if it is a
     problem. ``rejected_reason`` is for the log and the metrics; ``is_ending`` says whether the
-    service is being stopped.
+    service is being stopped; ``hang_up`` ends the connection, with an incomplete reply if need be.
     """
 
     status: int | None = None
     headers: dict[str, str] = field(default_factory=dict)
     rejected_reason: str = ""
     is_ending: bool = False
+    hang_up: Callable[[], None] = lambda: None
 
 
 def request_state(scope: Scope) -> RequestState:

@@ -1,5 +1,6 @@
 """Camera sessions: the frames of fixed cameras, in order, and the people in them over time."""
 
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated
@@ -20,13 +21,13 @@ from app.api.tracking_schemas import (
     CameraState,
     TrackResponse,
 )
-from app.cameras import CameraKey, CameraSessions, TooManyCamerasError
+from app.cameras import CameraKey, CameraSessions, NoSessionsError, TooManyCamerasError
 from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, NoQuery, TrackQuery, hypotheses_of
+from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
 from app.serving import run_frame, runtime_of
@@ -102,14 +103,14 @@ async def track_frame(
     or has switched to another index.
     """
     runtime = runtime_of(request)
-    if not runtime.settings.max_cameras:
-        raise ProblemError(404, "this service keeps no camera sessions", reason="no_sessions")
-    estimator, sessions = runtime.ready_estimator(), runtime.sessions
-    upload, timestamp = query.of(frame.upload), frame.timestamp
-    if query.timestamp is not None:
-        if timestamp is not None:
-            raise invalid("timestamp", "expected a form field or a query parameter, got both")
-        timestamp = query.timestamp
+    with _kept():
+        runtime.sessions.check_kept()
+    estimator, sessions = estimator_for(runtime.ready_estimator(), query), runtime.sessions
+    upload, times = query.of(frame.upload), [frame.timestamp, query.seconds(), query.timestamp]
+    given = [time for time in times if time is not None]
+    if len(given) > 1:
+        raise invalid("timestamp", "expected a form field or a query parameter, got both")
+    timestamp = given[0] if given else None
 
     def work(job: Job) -> bytes:
         tracked = sessions.process(
@@ -183,7 +184,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
         most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
         raise invalid("zones", f"expected {most}, got {count} values")
     try:
-        return CameraConfiguration.model_validate_json(body)
+        return CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
         raise ProblemError(
@@ -196,7 +197,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     operation_id="configure_camera",
     summary="Configure a camera",
     dependencies=[NoQuery],
-    responses=documented(401, 403, 408, 409, 413, 422, 503),
+    responses=documented(401, 403, 404, 408, 409, 413, 422, 503),
     openapi_extra={
         "requestBody": {
             "required": True,
@@ -220,8 +221,9 @@ async def configure_camera(
     sent no frame is forgotten for the new one.
     """
     try:
-        settings = settings_from(configuration)
-        return camera_reply(runtime_of(request).sessions.configure(camera, settings))
+        with _kept():
+            settings = settings_from(configuration)
+            return camera_reply(runtime_of(request).sessions.configure(camera, settings))
     except TooManyCamerasError as error:
         raise ProblemError(409, str(error), reason="too_many_cameras") from None
 
@@ -244,6 +246,15 @@ async def forget_camera(request: Request, camera: Camera) -> None:
     """
     with _known(camera):
         runtime_of(request).sessions.forget(camera)
+
+
+@contextmanager
+def _kept() -> Iterator[None]:
+    """Answer 404 if the service keeps no sessions."""
+    try:
+        yield
+    except NoSessionsError as error:
+        raise ProblemError(404, str(error), reason="no_sessions") from None
 
 
 @contextmanager

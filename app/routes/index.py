@@ -36,7 +36,8 @@ EntryNumber = Annotated[
 )
 async def describe_index(request: Request, estimator: EstimatorDep) -> IndexResponse:
     """Describe the index: its content, how it was built, and the source of its data."""
-    return index_reply(estimator.index, VERSION, runtime_of(request).settings.revision)
+    revision = runtime_of(request).settings.revision
+    return index_reply(estimator.index, VERSION, revision, estimator.method)
 
 
 @router.get(

@@ -66,6 +66,7 @@ def add_openapi(app: FastAPI) -> None:
             for path in document["paths"].values():
                 for operation in path.values():
                     _mend_operation(operation)
+            _name_precision(document)
         return generate()
 
     app.openapi = openapi  # type: ignore[method-assign]
@@ -87,9 +88,19 @@ def _mend_schema(name: str, schema: dict[str, Any]) -> None:
         value.pop("title", None)  # Pydantic's titles only repeat the name, capitalised.
 
 
+def _name_precision(part: Any) -> None:
+    """Make every number of the document a double: in 32 bits, Unix time moves in steps of 128 s."""
+    for child in part.values() if isinstance(part, dict) else part:
+        if isinstance(child, dict | list):
+            _name_precision(child)
+    if isinstance(part, dict) and part.get("type") == "number":
+        part["format"] = "double"
+
+
 def _mend_operation(operation: dict[str, Any]) -> None:
     for parameter in operation.get("parameters", ()):
         parameter["schema"].pop("title", None)
+    operation["responses"]["500"] = documented(500)[500]
     for status, response in operation["responses"].items():
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
         names += ["X-Session"] * (operation["operationId"] == "track_frame")
@@ -116,13 +127,21 @@ def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     return kind | kept | ({"examples": [""]} if "default" in schema else {})
 
 
-def documented_form(form: type[BaseModel], description: str = "") -> dict[str, Any]:
-    """Describe the body of a request as FastAPI would if it parsed the form itself."""
-    body: dict[str, Any] = {"required": True}
-    if description:
-        body["description"] = description
+# openapi-python-client knows files of this type only, and not those of `image/*` or lines of JSON.
+BINARY = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
+
+
+def documented_form(form: type[BaseModel], or_a_file: str = "") -> dict[str, Any]:
+    """Describe the body of a request as FastAPI would if it parsed the form itself.
+
+    ``or_a_file`` describes the file that may be the whole body instead.
+    """
     schema = {"$ref": f"#/components/schemas/{form.__name__}"}
-    return {"requestBody": {**body, "content": {"multipart/form-data": {"schema": schema}}}}
+    body: dict[str, Any] = {"content": {"multipart/form-data": {"schema": schema}}}
+    if or_a_file:
+        body["description"] = or_a_file
+        body["content"].update(BINARY)
+    return {"requestBody": {"required": True, **body}}
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:
@@ -148,5 +167,6 @@ _MEANINGS = {
     415: "The body is neither multipart/form-data nor, where that is accepted, an image or a "
     "video.",
     422: "A parameter is invalid, or a mask, background or boxes do not fit the frame.",
+    500: "The service failed; its log has the reason under the reply's `X-Request-ID`.",
     503: "Overloaded or unable to search (with Retry-After), or the index is not loaded.",
 }

@@ -10,8 +10,14 @@ from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
 from app.estimation.results import Evidence
 from app.http.identity import NamesCamera, RequireKey
-from app.routes.openapi import documented
-from app.routes.queries import GivenOnce, OverlayQuery, PoseQuery, SilhouetteQuery
+from app.routes.openapi import BINARY, documented
+from app.routes.queries import (
+    GivenOnce,
+    OverlayQuery,
+    PoseQuery,
+    SilhouetteQuery,
+    estimator_for,
+)
 from app.routes.uploads import DOCUMENTED_UPLOAD, UploadForm
 from app.scheduling.job import Job
 from app.serving import run_frame, runtime_of
@@ -27,11 +33,7 @@ router = APIRouter(
 PNG: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "A PNG image; its type is always `image/png`.",
-        # openapi-python-client ignores image types.
-        "content": {
-            media_type: {"schema": {"type": "string", "format": "binary"}}
-            for media_type in ("image/png", "application/octet-stream")
-        },
+        "content": {"image/png": BINARY["application/octet-stream"], **BINARY},
     }
 }
 
@@ -52,7 +54,7 @@ async def estimate_pose(
     gives an empty list.
     """
     runtime = runtime_of(request)
-    estimator = runtime.ready_estimator()
+    estimator = estimator_for(runtime.ready_estimator(), query)
 
     def work(job: Job) -> bytes:
         estimate = estimator.estimate(query.of(upload), query.n, job, query.evidence)
@@ -61,7 +63,7 @@ async def estimate_pose(
         reply = pose_reply(estimate, estimator.index, query.form, job.checkpoint)
         return reply.model_dump_json().encode()
 
-    content = await run_frame(request, work, kind=upload.given)
+    content = await run_frame(request, work, kind=(upload.given, estimator.method))
     return Response(content, media_type="application/json")
 
 
@@ -83,7 +85,7 @@ async def draw_pose(
     colours; the pixels above it keep the frame's coordinates.
     """
     runtime = runtime_of(request)
-    estimator = runtime.ready_estimator()
+    estimator = estimator_for(runtime.ready_estimator(), query)
 
     def work(job: Job) -> bytes:
         # The number of hypotheses is the default of `/pose`, so that both show the same posture.
@@ -93,7 +95,7 @@ async def draw_pose(
         runtime.metrics.observe_stages(estimate.timings_ms)
         return encode_png(draw_overlay(estimate, KEYPOINT_SETS[query.keypoints]))
 
-    content = await run_frame(request, work, kind=upload.given)
+    content = await run_frame(request, work, kind=(upload.given, estimator.method))
     return Response(content, media_type="image/png")
 
 
@@ -116,7 +118,7 @@ async def extract_silhouettes(
     colours of `/pose/overlay` on black.
     """
     runtime = runtime_of(request)
-    estimator = runtime.ready_estimator()
+    estimator = estimator_for(runtime.ready_estimator(), query)
 
     def work(job: Job) -> bytes:
         # A background may cut one body into parts; landmarks show that they belong together.
@@ -125,5 +127,5 @@ async def extract_silhouettes(
         runtime.metrics.observe_stages(job.stage_ms)
         return encode_png(draw_silhouettes(found) if query.view else draw_labels(found))
 
-    content = await run_frame(request, work, kind=upload.given)
+    content = await run_frame(request, work, kind=(upload.given, estimator.method))
     return Response(content, media_type="image/png")

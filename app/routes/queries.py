@@ -23,6 +23,8 @@ from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import invalid
 from app.messages import NUMBER, WHOLE_NUMBER, expected_name
+from app.photograph import Estimator, MethodError
+from app.settings import Method, Segmenter
 from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
@@ -46,6 +48,11 @@ Timestamp = Annotated[
     AfterValidator(_check_seconds),
 ]
 
+_Milliseconds = Annotated[
+    int,
+    Field(ge=0, le=round(1000 * LATEST_TIMESTAMP_S), json_schema_extra={"format": "int64"}),
+]
+
 _HypothesisCount = Annotated[
     int,
     Field(ge=1, le=50, description="Hypotheses per person, 1 to 50.", examples=[7]),
@@ -63,9 +70,27 @@ _Evidence = Annotated[
     Evidence,
     Field(
         description="`photograph`: the silhouette and the keypoints that the photograph shows, and "
-        "with them which way a person faces; `silhouette`: the silhouette alone, as in the paper, "
-        "which is fastest.",
+        "with them which way a person faces; `silhouette`: the silhouette alone, which is fastest.",
         examples=["photograph"],
+    ),
+]
+_Method = Annotated[
+    Method | None,
+    Field(
+        description="`networks`: networks find people and read keypoints; `paper`: the method of "
+        "Atrevi et al. (2016), people by HOG, silhouettes by GrabCut, and the entries nearest to "
+        "them in the order of their distances, which takes no network and goes with "
+        "`evidence=silhouette` alone. By default the method of the service, `networks` unless "
+        "`POSE_METHOD` says otherwise.",
+        examples=["networks"],
+    ),
+]
+_Segmenter = Annotated[
+    Segmenter | None,
+    Field(
+        description="What cuts people out where neither a mask nor a background does: `network`, "
+        "or, with `method=paper`, `grabcut`, which is its default.",
+        examples=["network"],
     ),
 ]
 _Joints = Annotated[
@@ -134,6 +159,8 @@ class OverlayQuery(_CameraQuery):
 
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
+    segmenter: _Segmenter = None
 
 
 class PoseQuery(_CameraQuery):
@@ -142,6 +169,8 @@ class PoseQuery(_CameraQuery):
     n: _HypothesisCount = DEFAULT_HYPOTHESES
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
+    segmenter: _Segmenter = None
     silhouettes: Annotated[
         SilhouetteForm,
         Field(
@@ -171,6 +200,9 @@ class PoseQuery(_CameraQuery):
 class SilhouetteQuery(_Query):
     """Query parameters of a label image."""
 
+    method: _Method = None
+    segmenter: _Segmenter = None
+
     view: bool = Field(
         default=False,
         description="Whether people are in the colours of `/pose/overlay`, for viewing, "
@@ -189,6 +221,19 @@ class TrackQuery(PoseQuery):
             examples=[12.4],
         ),
     ] = None
+    timestamp_ms: Annotated[
+        _Milliseconds | None,
+        Field(
+            description="The timestamp in milliseconds instead, for clients that write fractions "
+            "with 32 bits.",
+            examples=[1795880000250],
+        ),
+        WHOLE_NUMBER,
+    ] = None
+
+    def seconds(self) -> float | None:
+        """The timestamp given in milliseconds, if there is one."""
+        return None if self.timestamp_ms is None else self.timestamp_ms / 1000
 
 
 class SequenceQuery(_CameraQuery):
@@ -207,6 +252,8 @@ class SequenceQuery(_CameraQuery):
     n: _HypothesisCount = DEFAULT_HYPOTHESES
     keypoints: _KeypointSet = "native"
     evidence: _Evidence = "photograph"
+    method: _Method = None
+    segmenter: _Segmenter = None
     joints: _Joints = "full"
     stride: Annotated[
         int,
@@ -218,6 +265,20 @@ class SequenceQuery(_CameraQuery):
     def form(self) -> ReplyForm:
         """The form of the reply."""
         return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
+
+
+def estimator_for(
+    estimator: Estimator, query: OverlayQuery | PoseQuery | SilhouetteQuery | SequenceQuery
+) -> Estimator:
+    """Return the estimator of the method that a query asks for; a 422 if there is none."""
+    try:
+        chosen = estimator.by(query.method, query.segmenter)
+    except MethodError as error:
+        raise invalid(error.field, str(error)) from None
+    given = getattr(query, "evidence", None) if "evidence" in query.model_fields_set else None
+    if given is not None and given != chosen.evidence(given):
+        raise invalid("evidence", f"expected silhouette with the paper's method, got {given}")
+    return chosen
 
 
 def hypotheses_of(query: TrackQuery | SequenceQuery) -> int:

@@ -10,7 +10,7 @@ from typing import IO, Annotated
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
-from starlette.types import Message, Receive, Scope, Send
+from starlette.types import Receive, Scope, Send
 
 from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
 from app.api.tracking_schemas import SequenceLine, VideoUpload
@@ -19,8 +19,8 @@ from app.film import VideoRun
 from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
-from app.routes.openapi import documented, documented_form
-from app.routes.queries import GivenOnce, SequenceQuery, hypotheses_of
+from app.routes.openapi import BINARY, documented, documented_form
+from app.routes.queries import GivenOnce, SequenceQuery, estimator_for, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
 from app.tracking.results import TrackedFrame
@@ -28,32 +28,20 @@ from app.video import Frame
 from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
-_BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace")
+_BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace", "application/octet-stream")
 
 router = APIRouter(tags=["cameras"], dependencies=[RequireKey, GivenOnce])
 
-_UNREAD_S = 30.0
-"""A connection whose client reads nothing for this long is closed."""
-
 
 class LineStream(StreamingResponse):
-    """Lines of JSON; the connection closes if the client does not read them."""
+    """Lines of JSON, which are no longer made once the client has gone."""
 
     media_type = "application/x-ndjson"
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the lines."""
-
-        async def send_soon(message: Message) -> None:
-            async with asyncio.timeout(_UNREAD_S):
-                await send(message)
-
         async with aclosing(self.body_iterator):  # type: ignore[type-var]
-            try:
-                await super().__call__(scope, receive, send_soon)
-            except TimeoutError:
-                # The server closes the connection of an incomplete answer.
-                request_state(scope).rejected_reason = "client_gone"
+            await super().__call__(scope, receive, send)
 
 
 @asynccontextmanager
@@ -87,19 +75,18 @@ async def _open(
     request: Request, query: Annotated[SequenceQuery, Query()]
 ) -> AsyncIterator[_OpenVideo]:
     """Receive and open the video; it is closed once the request has been answered."""
-    runtime = runtime_of(request)
+    runtime, caller = runtime_of(request), identity_of(request.scope).caller
     runtime.ready_estimator()
+    runtime.check_sequence(caller)  # Before the upload, which would be in vain.
     settings = runtime.settings
-    with runtime.sequence():
-        async with (
-            _received(request) as file,
-            open_video(
+    async with _received(request) as file:
+        with runtime.sequence(caller):
+            async with open_video(
                 file, query.stride, settings.max_pixels, settings.sequence_timeout_s
-            ) as reader,
-        ):
-            first = await reader.next()
-            assert first is not None
-            yield _OpenVideo(reader, first)
+            ) as reader:
+                first = await reader.next()
+                assert first is not None
+                yield _OpenVideo(reader, first)
 
 
 @router.post(
@@ -112,17 +99,14 @@ async def _open(
             "description": "A line of JSON for each frame as soon as it is done, and a last line "
             "of type `end`; its type is always `application/x-ndjson`.",
             "model": SequenceLine,
-            # openapi-python-client ignores lines of JSON.
-            "content": {
-                "application/octet-stream": {"schema": {"type": "string", "format": "binary"}}
-            },
+            "content": {**BINARY},
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
     openapi_extra=documented_form(
         VideoUpload,
-        "A video may also be the body itself, as `video/mp4` or any other type of video, "
-        "`image/gif`, or `multipart/x-mixed-replace`.",
+        "A form, or a video alone: as `application/octet-stream`, `video/mp4` or any other type of "
+        "video, `image/gif`, or `multipart/x-mixed-replace`.",
     ),
 )
 async def analyse_sequence(
@@ -141,7 +125,7 @@ async def analyse_sequence(
     most = runtime.settings.max_sequence_frames
     if query.max_frames is not None and query.max_frames > most:
         raise invalid("max_frames", f"expected at most {most}, got {query.max_frames}")
-    estimator, metrics = runtime.ready_estimator(), runtime.metrics
+    estimator, metrics = estimator_for(runtime.ready_estimator(), query), runtime.metrics
     run = VideoRun(
         CameraSession(estimator),
         runtime.executor,

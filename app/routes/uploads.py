@@ -13,6 +13,7 @@ from typing import Annotated, NamedTuple
 
 from fastapi import Depends, Request
 from pydantic import ConfigDict, Field, FiniteFloat, TypeAdapter, ValidationError
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
@@ -28,6 +29,7 @@ from app.settings import Settings
 from app.vision.geometry import Box
 
 MULTIPART = "multipart/form-data"
+BYTE_ORDER_MARK = "\ufeff"  # Before text and JSON of some Windows programs.
 
 
 def has_type(request: Request, start: str) -> bool:
@@ -41,11 +43,25 @@ def unsupported_body(request: Request, expected: str = MULTIPART) -> ProblemErro
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
 
+_FILES = ("frame", "mask", "background", "image")
+
+
 class _FormParser(MultiPartParser):
-    """Starlette's parser, which keeps all files in memory and notices where a form was cut off."""
+    """Starlette's parser, which keeps all files in memory and notices where a form was cut off.
+
+    Some clients send no filename, which Starlette would take for text.
+    """
 
     spool_max_size = 2**62  # Admission limits uploads: no photograph reaches a disk.
     is_complete = False
+
+    def on_headers_finished(self) -> None:
+        """Make a file of a part by its name alone."""
+        part = self._current_part
+        _, options = parse_options_header(part.content_disposition)
+        if options.get(b"name", b"").decode("latin-1") in _FILES and b"filename" not in options:
+            part.content_disposition = (part.content_disposition or b"") + b'; filename=""'
+        super().on_headers_finished()
 
     def on_end(self) -> None:
         """Note the boundary that ends the form."""
@@ -87,11 +103,14 @@ def check_fields(form: FormData, known: Collection[str]) -> None:
 async def file_of(form: FormData, field: str) -> bytes | None:
     """Return the content of a file; None if it is missing or, as browsers then send it, empty."""
     part = form.get(field)
-    if isinstance(part, UploadFile):
-        return None if not part.filename and not part.size else await part.read()
-    if part:
-        raise invalid(field, "expected a file, which has a filename, got text")
-    return None
+    if not isinstance(part, UploadFile):
+        return None
+    content = await part.read()
+    if part.filename:
+        return content
+    if content and content.isascii():  # `-F frame=frame.jpg`, without curl's @.
+        raise invalid(field, f"expected a file, got text: {shortened(content.decode())}")
+    return content or None
 
 
 def text_of(form: FormData, field: str) -> str | None:
@@ -99,7 +118,7 @@ def text_of(form: FormData, field: str) -> str | None:
     part = form.get(field)
     if isinstance(part, UploadFile):
         raise invalid(field, "expected text, got a file")
-    return part
+    return None if part is None else part.removeprefix(BYTE_ORDER_MARK)
 
 
 # Parsing is strict: neither true nor "12" is a number.
@@ -120,14 +139,15 @@ _MAX_ITEM_CHARACTERS = 256  # Of a box or a track id, spaces and line breaks inc
 
 
 _OR_A_PHOTOGRAPH = (
-    "A photograph alone may also be the body itself, as `image/jpeg` or any other type of image."
+    "A form, or a photograph alone: as `application/octet-stream`, `image/jpeg` or any other type "
+    "of image."
 )
 DOCUMENTED_UPLOAD = documented_form(FrameUpload, _OR_A_PHOTOGRAPH)
 DOCUMENTED_TRACK_UPLOAD = documented_form(TrackUpload, _OR_A_PHOTOGRAPH)
 
 
 async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, float | None]:
-    if has_type(request, "image/"):
+    if has_type(request, "image/") or has_type(request, "application/octet-stream"):
         return Upload(await request.body()), None
     if not has_type(request, MULTIPART):
         raise unsupported_body(request, f"{MULTIPART} or image/*")

@@ -59,7 +59,7 @@ class Executor:
         """Work on a frame in a thread; ``work`` calls :meth:`Job.checkpoint` between its steps.
 
         ``until_gone`` returns when the client has disconnected: a waiting frame is then dropped,
-        and work that has begun is cancelled. The rest is as in
+        while work that has begun is finished. The rest is as in
         :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
         Raises
@@ -72,7 +72,7 @@ class Executor:
         try:
             await self._until_begun(ticket, gone, None if unbounded_wait else self.queue.max_wait_s)
             waited_s = 0.0 if unbounded_wait else time.monotonic() - enqueued
-            return await self._work(ticket, work, Job(self._timeout_s - waited_s, self.map), gone)
+            return await self._work(ticket, work, Job(self._timeout_s - waited_s, self.map))
         finally:
             gone.cancel()
 
@@ -90,18 +90,10 @@ class Executor:
             self.queue.release(ticket)
             raise
 
-    async def _work(
-        self, ticket: Ticket, work: Callable[[Job], T], job: Job, gone: asyncio.Future[None]
-    ) -> T:
+    async def _work(self, ticket: Ticket, work: Callable[[Job], T], job: Job) -> T:
         """Work on a begun frame; its ticket is released once the thread is free."""
         done = asyncio.wrap_future(self._begin(ticket, work, job))
-        # If this is cancelled, nobody else asks for the error, which asyncio would log.
-        done.add_done_callback(_retrieve_error)
         try:
-            await _first_of(done, gone)
-            if not done.done():
-                job.cancel()
-            # Cancelled or not, the work occupies a thread until it ends.
             return await done
         finally:
             job.cancel()
@@ -159,11 +151,6 @@ class Executor:
 
         future.add_done_callback(end)
         return future
-
-
-def _retrieve_error(done: asyncio.Future[Any]) -> None:
-    if not done.cancelled():
-        done.exception()
 
 
 async def _first_of(

@@ -1,4 +1,4 @@
-"""People over time: sessions, tracks, poses, actions, events. Imports estimation and below.
+"""People over time: tracks, poses, actions, events. Imports estimation and below.
 
 Timestamps are seconds and ascend. Boxes and points are in pixels of the rectified frame.
 """

@@ -7,27 +7,25 @@ limbs of a pair, the larger and the smaller value are used, rather than the left
 
 from __future__ import annotations
 
-import json
 import math
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
+from app.networks.shipped import arrays_of
 from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.odds import softmax
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
-
-MODEL = Path(__file__).parent / "models" / "actions.json"
 
 _EVERYDAY = ("lie", "sit", "stand", "walk", "run")
 """Actions that are likelier than exercises if the limbs' motion is not visible."""
@@ -118,14 +116,13 @@ class ActionModel:
             )
 
     @classmethod
-    def load(cls, file: Path = MODEL) -> ActionModel:
-        """Read the model that ``python -m scripts train-actions`` wrote."""
-        values = json.loads(file.read_text())
+    def of(cls, arrays: Mapping[str, NDArray[Any]]) -> ActionModel:
+        """The model of stored arrays."""
         return cls(
-            tuple(values["actions"]),
-            np.array(values["weights"], np.float64),
-            np.array(values["offsets"], np.float64),
-            float(values["vote_weight"]),
+            tuple(arrays["actions"].tolist()),
+            arrays["weights"],
+            arrays["offsets"],
+            float(arrays["vote_weight"]),
         )
 
     def probabilities(
@@ -157,10 +154,10 @@ class ActionModel:
         return np.asarray(votes / total)
 
 
-@lru_cache(maxsize=1)
+@cache
 def shipped_model() -> ActionModel:
     """The model that ships with the package."""
-    return ActionModel.load()
+    return ActionModel.of(arrays_of("actions"))
 
 
 WINDOW_S = 3.0

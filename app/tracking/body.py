@@ -7,15 +7,13 @@ landmarks, the hypotheses of the silhouette are likely bodies.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.dense import shipped_network
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.depth import DenseNetwork
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.facing import azimuth_deg
 from index.skeleton import (
@@ -29,8 +27,6 @@ from index.skeleton import (
     rows,
     side_rows,
 )
-
-ELEVATION_MODEL = Path(__file__).parent / "models" / "elevation.npz"
 
 MAX_BODIES = 12
 """Hypotheses that count as likely bodies; 30 are no better."""
@@ -144,7 +140,7 @@ _LIMB_LANDMARKS = rows(*LIMBS, among=LANDMARK_NAMES)
 def elevation_deg(metres: NDArray[np.float64]) -> float:
     """Elevation of the camera above a person with landmarks ``(33, 3)``, as an index has them."""
     features = elevation_features(metres[None, _LIMB_LANDMARKS])
-    return float(_elevation_network()(features)[0, 0])
+    return float(shipped_network("elevation")(features)[0, 0])
 
 
 def elevation_features(limbs: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -158,9 +154,3 @@ def elevation_features(limbs: NDArray[np.float64]) -> NDArray[np.float64]:
     left, right = limbs[:, 0::2], limbs[:, 1::2]
     parts = ((left + right)[..., 1:] / 2, np.abs(left - right))
     return np.concatenate([part.reshape(len(limbs), -1) for part in parts], axis=1)
-
-
-@cache
-def _elevation_network() -> DenseNetwork:
-    with np.load(ELEVATION_MODEL) as stored:
-        return DenseNetwork.of(dict(stored), "elevation")

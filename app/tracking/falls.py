@@ -12,24 +12,23 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 from itertools import pairwise
-from pathlib import Path
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.shipped import arrays_of
 from app.tracking.filtering import MAX_STEP_S, LowPass
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.odds import sigmoid
 from app.vision.people import landmark_rows
 from app.vision.truncation import gaps_to_border
-
-MODEL = Path(__file__).parent / "models" / "falls.npz"
 
 GRID_S = np.array(
     [10, 8.5, 7.2, 6.2, 5.4, 4.6, 3.8, 3.2, 2.6, 2.2, 1.8, 1.4, 1.0, 0.8, 0.6, 0.4, 0.2, 0]
@@ -182,14 +181,13 @@ class FallModel:
             )
 
     @classmethod
-    def load(cls, file: Path = MODEL) -> Self:
-        """Read what ``python -m scripts train-falls`` wrote."""
-        with np.load(file) as arrays:
-            layers = range(len(arrays.files) // 2)
-            weights, offsets = (
-                tuple(np.asarray(arrays[f"{name}{layer}"], np.float32) for layer in layers)
-                for name in ("weights", "offsets")
-            )
+    def of(cls, arrays: Mapping[str, NDArray[np.generic]]) -> Self:
+        """The model of stored arrays."""
+        layers = range(len(arrays) // 2)
+        weights, offsets = (
+            tuple(np.asarray(arrays[f"{name}{layer}"], np.float32) for layer in layers)
+            for name in ("weights", "offsets")
+        )
         return cls(weights, offsets)
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -215,10 +213,10 @@ def _three_points(values: NDArray[np.float32], stride: int) -> NDArray[np.float3
     return np.concatenate(parts, axis=-1)
 
 
-@lru_cache(maxsize=1)
+@cache
 def shipped_model() -> FallModel:
     """The model that ships with the package."""
-    return FallModel.load()
+    return FallModel.of(arrays_of("falls"))
 
 
 REPORTED_FROM, REPORTED_LOST_FROM = 0.5, 0.7
@@ -256,13 +254,13 @@ class FallReport:
     def update(self, timestamp: float, fell: float, up: float, *, lost: bool = False) -> bool:
         """Add the probabilities of a frame; return whether a fall is to be reported now.
 
-        At the frame in which a person is ``lost``, the probability is not filtered: no other frame
-        can confirm it.
+        In the frames in which a person is ``lost``, the probability is not filtered, since no other
+        frame can confirm it, and nothing shows that the person is up.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         self._last_at = timestamp
         likely = self._likely.update(fell, elapsed)
-        if up < _UP_FROM:
+        if lost or up < _UP_FROM:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp

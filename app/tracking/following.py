@@ -63,6 +63,7 @@ class TrackedPeopleDetector:
     def __init__(self, finder: PeopleFinder) -> None:
         self._finder = finder
         self._searched_at = self._read_at = -math.inf
+        self._left_out = 0  # People whom the last search left out.
         self._scene = _Scene()
 
     @property
@@ -96,7 +97,11 @@ class TrackedPeopleDetector:
             if row is not None and row not in expected:
                 in_window.setdefault(row, track)
         in_window |= dict(enumerate(unchanged, start=len(people)))
-        return [*people, *unchanged.values()], in_window
+        everyone = [*people, *unchanged.values()]
+        # Those whom a search left out may still be followed.
+        followed_beyond = max(0, len(everyone) - self._finder.max_persons)
+        job.left_out = max(0, self._left_out - followed_beyond)
+        return everyone, in_window
 
     def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
         """Whether a JPEG file alone shows that a scene without tracks is still empty.
@@ -159,7 +164,7 @@ class TrackedPeopleDetector:
         known = [box for track, box in places.items() if track.track_id is not None]
         lost_at = [track.box_filter.seen for track in lost]
         people, beside = self._finder.search(frame, job, lost_at, known)
-        self._searched_at = timestamp
+        self._searched_at, self._left_out = timestamp, job.left_out
         self._scene.restart()
         targets, unseen = [], dict(expected)
         for one in people:

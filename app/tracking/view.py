@@ -94,6 +94,10 @@ class View:
             return []
         return self._events(timestamp, self._blocked.update(float(blocked), step))
 
+    def end(self, timestamp: float) -> list[Event]:
+        """End the watching of this view; return the end of the event, if it lasts."""
+        return self._events(timestamp, "end" if self.obstructed else None)
+
     def unconfirmed(self) -> list[Event]:
         """The event that had begun to show at the last frame but was not certain."""
         shown = self._blocked.is_unconfirmed

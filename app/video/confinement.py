@@ -1,4 +1,7 @@
-"""The limits of the process that decodes a video: it computes, reads what is open, and writes."""
+"""The limits of processes that decode: they compute, read what is open, and write.
+
+That of a stream receives it as well.
+"""
 
 import ctypes
 import errno
@@ -8,9 +11,6 @@ import struct
 import sys
 from contextlib import suppress
 from pathlib import Path
-
-_MEMORY_BYTES = 640 * 1024**2
-_NICENESS = 5
 
 # Their numbers for seccomp.
 _MACHINES = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
@@ -22,31 +22,46 @@ _ALLOWED = (
     ("madvise", 28, 233), ("brk", 12, 214), ("futex", 202, 98), ("sched_yield", 24, 124),
     ("clock_gettime", 228, 113), ("getrandom", 318, 278), ("rt_sigaction", 13, 134),
     ("rt_sigprocmask", 14, 135), ("rt_sigreturn", 15, 139), ("exit", 60, 93),
-    ("exit_group", 231, 94),
+    ("exit_group", 231, 94), ("setitimer", 38, 103),
 )  # fmt: skip
 
 
-def limit_resources(max_seconds: int) -> None:
-    """Limit memory and processor time, and let no file or socket be opened from now on."""
-    os.nice(_NICENESS)
+# Those that a stream needs besides, to reach a camera by its number.
+_NETWORK = (
+    ("socket", 41, 198), ("connect", 42, 203), ("bind", 49, 200), ("sendto", 44, 206),
+    ("sendmsg", 46, 211), ("recvfrom", 45, 207), ("recvmsg", 47, 212), ("shutdown", 48, 210),
+    ("setsockopt", 54, 208), ("getsockopt", 55, 209), ("getsockname", 51, 204),
+    ("getpeername", 52, 205), ("poll", 7, 73), ("ppoll", 271, 73), ("fcntl", 72, 25),
+    ("nanosleep", 35, 101), ("clock_nanosleep", 230, 115),
+)  # fmt: skip
+
+
+def limit_resources(max_seconds: int, max_bytes: int, *, network: bool = False) -> None:
+    """Limit memory and processor time, and let no file or socket be opened from now on.
+
+    With ``network``, descriptors are not limited, since sockets have some.
+    """
     # If memory runs out, the kernel ends this process first.
     with suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
     for kind, limit in (
-        (resource.RLIMIT_DATA, _MEMORY_BYTES),
+        (resource.RLIMIT_DATA, max_bytes),
         (resource.RLIMIT_CPU, max_seconds),
         (resource.RLIMIT_NOFILE, 0),
         (resource.RLIMIT_FSIZE, 0),
         (resource.RLIMIT_CORE, 0),
     ):
+        if network and kind == resource.RLIMIT_NOFILE:
+            continue
         _, hard = resource.getrlimit(kind)
         resource.setrlimit(kind, (limit if hard < 0 else min(limit, hard),) * 2)
 
 
-def forbid_system_calls() -> None:
+def forbid_system_calls(*, network: bool = False) -> None:
     """Let all system calls of this thread fail that decoding does not need, by seccomp.
 
-    Nothing can then be opened, sent, run or forked, and no other process be traced or ended.
+    Nothing can then be opened, sent, run or forked, and no other process be traced or ended. With
+    ``network``, sockets can be opened, and no files.
 
     Raises
     ------
@@ -56,7 +71,8 @@ def forbid_system_calls() -> None:
     machine = os.uname().machine
     if sys.platform != "linux" or sys.maxsize < 2**32 or machine not in _MACHINES:
         raise OSError(errno.ENOSYS, f"expected Linux on {' or '.join(_MACHINES)}")
-    allowed = [call[1 + list(_MACHINES).index(machine)] for call in _ALLOWED]
+    calls = _ALLOWED + (_NETWORK if network else ())
+    allowed = [call[1 + list(_MACHINES).index(machine)] for call in calls]
     load, if_equal, answer = 0x20, 0x15, 0x06
     program = [
         # The machine, then the number of the call; jumps count the steps in between.

@@ -93,8 +93,10 @@ class Video:
         """Close the source."""
         self._container.close()
 
-    def frames(self, stride: int = 1, max_pixels: float = math.inf) -> Iterator[Frame]:
-        """Decode the video and yield every ``stride``-th frame.
+    def frames(
+        self, stride: int = 1, max_pixels: float = math.inf, interval_s: float = 0.0
+    ) -> Iterator[Frame]:
+        """Decode the video and yield every ``stride``-th frame, and at most one each interval.
 
         Raises
         ------
@@ -103,14 +105,15 @@ class Video:
         TooLargeError
             If a frame has more than ``max_pixels``.
         """
-        codec, count = self._stream.codec_context, 0
+        codec, count, due_s = self._stream.codec_context, 0, 0.0
         clock = Clock(float(self._stream.average_rate or 0))
         _check_size(codec.width, codec.height, max_pixels)
         pictures = self._pictures()
         # The fields of HEVC come one by one, as pictures of half the height.
         for picture in pictures if codec.name == "hevc" else _deinterlaced(pictures):
             timestamp, number, count = clock.timestamp(picture.time), count, count + 1
-            if number % stride == 0:
+            if number % stride == 0 and timestamp + MIN_STEP_S >= due_s:
+                due_s = max(due_s + interval_s, timestamp)
                 _check_size(picture.width, picture.height, max_pixels)
                 aspect, pixels = self._aspect(picture), self._upright(picture)
                 yield Frame(number, timestamp, pixels, aspect, picture.opaque == [True])

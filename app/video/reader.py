@@ -21,8 +21,9 @@ _FRAME_TIMEOUT_S = 20.0
 _BUFFER_BYTES = 2**20
 _MAX_LINE_BYTES = 300
 _FORMATS = "AVI, MP4, MOV, Matroska, WebM, MPEG, FLV, ASF, Ogg, DV, GIF or MJPEG"
-# The decoder is run from here, so that it finds its modules.
-_ROOT = Path(__file__).parents[2]
+_NEEDED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "LANG")
+ROOT = Path(__file__).parents[2]
+"""The decoder is run from here, so that it finds its modules."""
 
 log = logging.getLogger("app")
 
@@ -64,9 +65,8 @@ async def open_video(
         stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE,
         pass_fds=(file.fileno(),),
-        cwd=_ROOT,
-        # Only the decoder's first thread is confined, so it must be the only one.
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        cwd=ROOT,
+        env=environment(),
         limit=_BUFFER_BYTES,
     )
     assert process.stdout is not None
@@ -82,6 +82,13 @@ async def open_video(
             pass
         await process.wait()
         await logged
+
+
+def environment() -> dict[str, str]:
+    """What a decoder needs of the environment, which may hold keys and passwords."""
+    needed = {name: value for name, value in os.environ.items() if name in _NEEDED}
+    # Only the decoder's first thread is confined, so it must be the only one.
+    return needed | {"OPENBLAS_NUM_THREADS": "1"}
 
 
 async def _log_last_line(stream: asyncio.StreamReader) -> None:

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window, transform_points
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
-from app.vision.tflite import TfliteNetwork
 
 LANDMARKS = len(LANDMARK_NAMES)
 
@@ -124,7 +124,7 @@ def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArr
 class LandmarkNetwork:
     """BlazePose's landmark network; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
@@ -164,7 +164,7 @@ class LandmarkNetwork:
 class MaskNetwork:
     """The part of BlazePose's landmark network that draws the mask; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

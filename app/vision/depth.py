@@ -7,12 +7,12 @@ landmarks are then placed on their lines of sight.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.dense import DenseNetwork
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.odds import sigmoid
 from app.vision.optics import (
@@ -190,58 +190,3 @@ def decode_depths(
     depths -= depths[:, HIPS].mean(axis=1, keepdims=True)
     sigmas = RESIDUAL_M * np.exp(np.clip(logarithms.astype(np.float64), -6, 6))
     return depths, np.clip(sigmas, *_SIGMA_M)
-
-
-@dataclass(frozen=True)
-class DenseNetwork:
-    """A network with standardised inputs and with SiLU between its layers."""
-
-    # (F,): means and scales of the inputs.
-    means: NDArray[np.float32]
-    scales: NDArray[np.float32]
-    weights: tuple[NDArray[np.float32], ...]  # (I, O)
-    biases: tuple[NDArray[np.float32], ...]  # (O,)
-
-    def __post_init__(self) -> None:
-        width = len(self.means)
-        for weight, bias in zip(self.weights, self.biases, strict=True):
-            if weight.shape != (width, len(bias)):
-                raise ValueError(
-                    f"expected weights of shape {(width, len(bias))}, got {weight.shape}"
-                )
-            width = len(bias)
-
-    def __call__(self, features: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Outputs ``(N, O)`` of features ``(N, F)``."""
-        values = ((features - self.means) / self.scales).astype(np.float32)
-        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            values = values @ weight + bias
-            if number + 1 < len(self.weights):
-                values = values / (1 + np.exp(-np.clip(values, -30, 30)))
-        return values
-
-    def arrays(self, name: str) -> dict[str, NDArray[np.float16 | np.float32]]:
-        """Arrays that :meth:`of` reads: in half precision, except those of the standardisation."""
-        stored: dict[str, NDArray[np.float16 | np.float32]] = {
-            f"{name}.means": self.means,
-            f"{name}.scales": self.scales,
-        }
-        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            stored[f"{name}.weights.{number}"] = weight.astype(np.float16)
-            stored[f"{name}.biases.{number}"] = bias.astype(np.float32)
-        return stored
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[np.generic]], name: str) -> DenseNetwork:
-        """The network with a given name among stored arrays."""
-        layers = sum(key.startswith(f"{name}.weights.") for key in arrays)
-
-        def array(part: str) -> NDArray[np.float32]:
-            return np.asarray(arrays[f"{name}.{part}"], np.float32)
-
-        return cls(
-            array("means"),
-            array("scales"),
-            tuple(array(f"weights.{number}") for number in range(layers)),
-            tuple(array(f"biases.{number}") for number in range(layers)),
-        )

@@ -12,16 +12,17 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.shipped import constants_of
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
+from app.vision.detectors.hog import PERSON_PX, hog_margin
 from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
-from app.vision.models import fitted_constants
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
-from app.vision.rescoring import PERSON_PX, ObjectNetwork, hog_margin
+from app.vision.rescoring import ObjectNetwork
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3
@@ -214,23 +215,21 @@ def _margin(picture: Picture, box: Box) -> float:
     return hog_margin(picture.frame, box)
 
 
-_FITTED = fitted_constants("detection")
-# One for each column of the scores: the first detector, HOG, and the other detectors.
-_WEIGHTS = np.array([_FITTED[name] for name in ("movenet", "hog", "pose_detection")])
+# The columns of the scores: the first detector, HOG, and the other detectors.
+_SCORES = ("movenet", "hog", "pose_detection")
 
 
 def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Log odds ``(N,)`` that candidates are people, from their scores ``(N, 3)``."""
-    return detection_features(scores) @ _WEIGHTS + _FITTED["offset"]
-
-
-_OBJECTS = fitted_constants("objects")
+    fitted = constants_of("detection")
+    weights = np.array([fitted[name] for name in _SCORES])
+    return detection_features(scores) @ weights + fitted["offset"]
 
 
 def object_odds(person: float, other: float) -> float:
     """Log odds that a doubtful detection gains or loses by the log odds of objects."""
-    excess = max(0.0, other - person)
-    return float(_OBJECTS["person"] * person + _OBJECTS["excess"] * excess + _OBJECTS["offset"])
+    fitted, excess = constants_of("objects"), max(0.0, other - person)
+    return float(fitted["person"] * person + fitted["excess"] * excess + fitted["offset"])
 
 
 # Least distance of scores from 0 and 1 when their log odds are taken.

@@ -1,7 +1,9 @@
 """Encoded images become pixels.
 
 A PNG of 389 KB can hold 20,000 x 20,000 pixels, which take seconds and gigabytes to decode, so
-format and size are read from the header first.
+format and size are read from the header first. With that, time and memory are bounded for JPEG and
+PNG (:mod:`app.vision.plain`). A few hundred kilobytes of the other formats can take both without
+bound; the service decodes them in :mod:`app.decoding`.
 """
 
 from __future__ import annotations
@@ -9,7 +11,8 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
 from typing import Any, Literal
@@ -20,6 +23,7 @@ from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
 from app.vision.kinds import kind_of
+from app.vision.plain import NotPlainError, plain
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
@@ -66,14 +70,17 @@ class Photograph:
         return cls(pixels, (*dark, *sorted(found)))
 
 
-def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
+def decode_image(
+    data: bytes, *, max_pixels: int, checkpoint: Callable[[], None] = lambda: None
+) -> Photograph:
     """Decode a photograph.
 
     The EXIF orientation is applied. Grey images get three equal channels, CMYK becomes BGR, and an
     animation gives its first picture. Transparent pixels are blended with grey, so their hidden
     colours do not count. 16 bits become 8; if the upper half of their range is not used, as with
     cameras of 10 to 14 bits, the used range is stretched. A JPEG or TIFF is read if less than half
-    of it is missing.
+    of it is missing. A large image may have to wait for another one; meanwhile, ``checkpoint`` is
+    called, which raises an error if the result is not wanted.
 
     Raises
     ------
@@ -82,9 +89,21 @@ def decode_image(data: bytes, *, max_pixels: int) -> Photograph:
     ImageError
         If the bytes are not an image of :data:`FORMATS`, or a broken one.
     """
-    header = checked_header(data, max_pixels)
-    with turn_of(header.width * header.height):
+    data, header = read_header(data, max_pixels)
+    with turn_of(header.width * header.height, checkpoint):
         return _photograph(data, header)
+
+
+_EXPENSIVE = (b"RIFF", b"II", b"MM", b"GIF8", b"BM")
+
+
+def is_expensive(data: bytes) -> bool:
+    """Whether a file may take more time or memory than its bytes and pixels suggest.
+
+    These are WebP, TIFF, GIF and BMP. A WebP may have 65,536 codes for its colours, each with 5 KB
+    of tables, and each strip of a TIFF may be all of the file.
+    """
+    return data.startswith(_EXPENSIVE)
 
 
 def _photograph(data: bytes, header: Image.Image) -> Photograph:
@@ -96,7 +115,11 @@ def _photograph(data: bytes, header: Image.Image) -> Photograph:
         pixels: NDArray[Any] = _upon_grey(read_stored(data, "RGBA"))
     else:
         pixels = decode_pixels(data, header, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if header.format in _JPEG and (grey := _missing_share(pixels)) and _lacks_its_end(data, header):
+    if (
+        header.format == "JPEG"
+        and (grey := _missing_share(pixels))
+        and _lacks_its_end(data, header)
+    ):
         missing = grey
         _check_missing(missing, header)
     found: list[ImageWarning] = ["truncated"] if missing else []
@@ -152,7 +175,7 @@ def reduced_grey(
     if by is None or _END_OF_JPEG not in data[-_TAIL_BYTES:]:
         return None
     try:
-        header = checked_header(data, height * width)
+        data, header = read_header(data, height * width)
     except ImageError:
         return None
     upright = header.getexif().get(ExifTags.Base.Orientation, 1) == 1
@@ -164,31 +187,44 @@ def reduced_grey(
 
 _LARGE_PX = 2_500_000  # More than a frame of 1080p.
 _LARGE_ONES = Lock()
+_CHECKED_EVERY_S = 0.05
 
 
-def turn_of(pixels: int) -> AbstractContextManager[object]:
+@contextmanager
+def turn_of(pixels: int, checkpoint: Callable[[], None]) -> Iterator[None]:
     """Wait for the turn of a large image: processing it takes several times its memory.
 
-    Small images do not wait.
+    Small images do not wait. While a large one waits, ``checkpoint`` is called; it may raise.
     """
-    return _LARGE_ONES if pixels > _LARGE_PX else nullcontext()
+    if pixels <= _LARGE_PX:
+        yield
+        return
+    while not _LARGE_ONES.acquire(timeout=_CHECKED_EVERY_S):
+        checkpoint()
+    try:
+        yield
+    finally:
+        _LARGE_ONES.release()
 
 
 _ON_THE_SIDE = (5, 6, 7, 8)  # EXIF orientations that swap the sides.
 
 
-def blank_image(data: bytes, *, max_pixels: int) -> Photograph:
+def blank_image(
+    data: bytes, *, max_pixels: int, checkpoint: Callable[[], None] = lambda: None
+) -> Photograph:
     """Make a black photograph of the size of an encoded one, for answers that need no more.
 
     For a JPEG, only the header is read, so the rest may be missing or broken. Raises like
     :func:`decode_image`.
     """
-    header = checked_header(data, max_pixels)
-    if header.format in _JPEG:
+    data, header = read_header(data, max_pixels)
+    if header.format == "JPEG":
         on_the_side = header.getexif().get(ExifTags.Base.Orientation) in _ON_THE_SIDE
         shape = header.size if on_the_side else header.size[::-1]
     else:
-        shape = decode_pixels(data, header, cv2.IMREAD_COLOR).shape[:2]
+        with turn_of(header.width * header.height, checkpoint):
+            shape = decode_pixels(data, header, cv2.IMREAD_COLOR).shape[:2]
     return Photograph(np.zeros((*shape, 3), np.uint8))
 
 
@@ -290,80 +326,76 @@ def read_stored(data: bytes, mode: str | None = None) -> NDArray[np.uint8]:
         raise ImageError("the image is broken") from error
 
 
-def checked_header(data: bytes, max_pixels: int) -> Image.Image:
-    """Read a header; raise :class:`ImageError` if the image should not be decoded."""
+def read_header(data: bytes, max_pixels: int) -> tuple[bytes, Image.Image]:
+    """Read format and size, as stored, without decoding the image.
+
+    Of a JPEG or PNG, the first value is what decoding needs.
+
+    Raises
+    ------
+    ImageTooLargeError, ImageError
+        As for :func:`decode_image`.
+    """
+    if not data:
+        raise ImageError("expected an image, got no bytes")
+    _check_size(_webp_size(data), max_pixels)  # Pillow allocates the pixels of a WebP at once.
     try:
-        header = _read_header(data)
+        data = plain(data)
+        header = Image.open(io.BytesIO(data), formats=FORMATS)
+    except NotPlainError as error:
+        raise ImageError(f"expected {_EXPECTED}, got {error}") from error
     except Image.DecompressionBombError as error:
         raise ImageTooLargeError(
             f"expected at most {max_pixels} pixels, got more than Pillow reads"
         ) from error
-    if header.width * header.height > max_pixels:
-        raise ImageTooLargeError(
-            f"expected at most {max_pixels} pixels, got {header.width}x{header.height}"
-        )
-    if header.format == "TIFF" and header.mode in ("F", "I"):
-        kind = "floating point" if header.mode == "F" else "whole numbers"
-        raise ImageError(f"expected 8 or 16 bits a channel, got 32 bit {kind}")
-    if header.format == "PNG":
-        # OpenCV allocates what a chunk announces: two gigabytes for a file of a kilobyte.
-        try:
-            header.verify()
-        except Exception as error:
-            raise ImageError("the PNG image is broken") from error
-    return header
-
-
-def _read_header(data: bytes) -> Image.Image:
-    """Read format and size, as stored, without decoding the image.
-
-    Raises
-    ------
-    ImageError
-        If the bytes are empty, of none of :data:`FORMATS`, or end within the header.
-    """
-    if not data:
-        raise ImageError("expected an image, got no bytes")
-    try:
-        return Image.open(_LimitedReads(data), formats=FORMATS)
-    except (ImageError, Image.DecompressionBombError):
-        raise
     except Exception as error:  # Damaged headers make Pillow raise almost anything.
         kind = kind_of(data)
         found = "a broken one" if kind.endswith("image") else kind
-        raise ImageError(
-            f"expected a PNG, JPEG, WebP, BMP, TIFF or GIF image, got {found}"
-        ) from error
+        raise ImageError(f"expected {_EXPECTED}, got {found}") from error
+    _check_size(header.size, max_pixels)
+    if header.format == "TIFF" and header.mode in ("F", "I"):
+        kind = "floating point" if header.mode == "F" else "whole numbers"
+        raise ImageError(f"expected 8 or 16 bits a channel, got 32 bit {kind}")
+    return data, header
 
 
-# Reads that an image may take, and further bytes for each further read. Pillow keeps every segment
-# of a JPEG: 16 MB of empty ones would take ten seconds and 700 MB.
-_FREE_READS = 10_000
-_BYTES_PER_READ = 500
+def read_size(data: bytes, max_pixels: int) -> tuple[int, int]:
+    """Read width and height, in the memory of a header; raises like :func:`read_header`."""
+    size = _webp_size(data)
+    _check_size(size, max_pixels)
+    return size if all(size) else read_header(data, max_pixels)[1].size
 
 
-class _LimitedReads(io.BytesIO):
-    """Encoded bytes with a limited number of reads."""
-
-    def __init__(self, data: bytes) -> None:
-        super().__init__(data)
-        self._reads_left = _FREE_READS + len(data) // _BYTES_PER_READ
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        self._reads_left -= 1
-        if self._reads_left < 0:
-            raise ImageError("expected an image, got one of too many segments")
-        return super().read(size)
+def _check_size(size: tuple[int, int], max_pixels: int) -> None:
+    width, height = size
+    if width * height > max_pixels:
+        raise ImageTooLargeError(f"expected at most {max_pixels} pixels, got {width}x{height}")
 
 
-_JPEG = ("JPEG", "MPO")
+def _webp_size(data: bytes) -> tuple[int, int]:
+    """Width and height of a WebP; 0 for other files."""
+    if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+        match data[12:16]:
+            case b"VP8X":
+                width, height = (int.from_bytes(data[at : at + 3], "little") for at in (24, 27))
+                return width + 1, height + 1
+            case b"VP8L":
+                bits = int.from_bytes(data[21:25], "little")
+                return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+            case b"VP8 ":
+                width, height = (int.from_bytes(data[at : at + 2], "little") for at in (26, 28))
+                return width & 0x3FFF, height & 0x3FFF
+    return 0, 0
+
+
+_EXPECTED = "a PNG, JPEG, WebP, BMP, TIFF or GIF image"
 _SCAN_OF_JPEG = b"\xff\xda"
 _END_OF_JPEG = b"\xff\xd9"
 
 
 def decode_pixels(data: bytes, header: Image.Image, flags: int) -> NDArray[Any]:
     """Decode to 8 or 16 bits a channel with OpenCV, or with Pillow for TIFFs OpenCV cannot read."""
-    if header.format in _JPEG:
+    if header.format == "JPEG":
         # Some cameras leave out the end marker. A second one does no harm, since bytes after the
         # first are ignored.
         data += _END_OF_JPEG
@@ -387,7 +419,7 @@ def is_lossy(image: Image.Image, data: bytes) -> bool:
             return b"VP8L" not in data
         case "TIFF":
             return image.info.get("compression") in ("jpeg", "tiff_jpeg")
-    return image.format in _JPEG
+    return image.format == "JPEG"
 
 
 def bits_of(header: Image.Image, data: bytes) -> int:

@@ -15,13 +15,13 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.dense import DenseNetwork
+from app.networks.shipped import NetworkError, arrays_of, read_arrays
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
-from app.vision.depth import HIPS, Body3D, DenseNetwork, DepthModel, body_of
-from app.vision.models import network_path
+from app.vision.depth import HIPS, Body3D, DepthModel, body_of
 from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
-from app.vision.tflite import NetworkError
 
 
 @dataclass(frozen=True)
@@ -123,15 +123,13 @@ def load_photograph_models(path: Path | None = None) -> PhotographModels:
     NetworkError
         If the file is missing or holds something else.
     """
-    path = network_path("photograph_models") if path is None else path
+    arrays = arrays_of("photograph_models") if path is None else read_arrays(path)
     try:
-        with np.load(path) as stored:
-            arrays = dict(stored)
         depth, trust, posture = (DenseNetwork.of(arrays, n) for n in ("depth", "trust", "posture"))
         sharpness = np.asarray(arrays["posture.sharpness"], np.float64)
         moments = np.asarray(arrays["depth.moments"], np.float64)
-    except (OSError, KeyError, ValueError) as error:
-        raise NetworkError(f"cannot read the models in {path}: {error}") from error
+    except (KeyError, ValueError) as error:
+        raise NetworkError(f"expected models of photographs in {path}: {error}") from error
     return PhotographModels(
         DepthModel(depth, moments), TrustModel(trust), PostureModel(posture, sharpness)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -15,9 +16,9 @@ from app.vision.geometry import Box
 from app.vision.images import (
     ImageError,
     bits_of,
-    checked_header,
     decode_pixels,
     is_lossy,
+    read_header,
     read_stored,
     turn_of,
 )
@@ -73,7 +74,9 @@ class LabelImage:
         return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
 
 
-def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
+def decode_mask(
+    data: bytes, *, max_pixels: int, checkpoint: Callable[[], None] = lambda: None
+) -> LabelImage:
     """Decode a label image: 0 is background, k is person k.
 
     Grey images and PNG images with a palette keep their stored values, whatever their bit depth; a
@@ -82,7 +85,8 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
     since compression destroys labels; in these, values of at least half of the largest mark the
     person. Three channels are accepted if they are equal. Transparent pixels are background; if all
     others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
-    Parts smaller than a figure, such as a stray pixel, are dropped.
+    Parts smaller than a figure, such as a stray pixel, are dropped. ``checkpoint`` is that of
+    :func:`app.vision.images.decode_image`.
 
     Raises
     ------
@@ -91,14 +95,31 @@ def decode_mask(data: bytes, *, max_pixels: int) -> LabelImage:
         are no labels of bodies: shades, more than 100 labels, scattered ones, background that is
         not 0, or figures of a few pixels.
     """
-    header = checked_header(data, max_pixels)
-    with turn_of(header.width * header.height):
+    data, header = read_header(data, max_pixels)
+    with turn_of(header.width * header.height, checkpoint):
         lossy = is_lossy(header, data)
-        image = LabelImage.of(_values(data, header, lossy))
-        if image.present and (lossy or _has_soft_edges(image)):
-            image = LabelImage.of(_thresholded(image, lossy))
-        _check_scatter(image)
-        return _of_figures(image)
+        return _checked(_values(data, header, lossy), lossy)
+
+
+def mask_of(values: NDArray[np.bool_] | NDArray[np.integer]) -> LabelImage:
+    """The same of an array ``(H, W)`` of booleans or whole numbers."""
+    if values.dtype not in (np.uint8, np.uint16):
+        if values.min() < 0 or values.max() > _MAX_LABEL:
+            got = f"{values.min()} to {values.max()}"
+            raise ImageError(f"expected labels from 0 to {_MAX_LABEL}, got {got}")
+        values = values.astype(np.uint16)
+    return _checked(np.array(values), lossy=False)
+
+
+_MAX_LABEL = 2**16 - 1
+
+
+def _checked(labels: Labels, lossy: bool) -> LabelImage:
+    image = LabelImage.of(labels)
+    if image.present:
+        image = _labels_of_bodies(image, lossy)
+    _check_scatter(image)
+    return _of_figures(image)
 
 
 _LOSSY_CHANNEL_DIFFERENCE = 16  # Channels of a lossy grey image differ by up to this.
@@ -135,48 +156,70 @@ def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:
     return np.ascontiguousarray(first)
 
 
-_MAX_LABELS = 100  # With more values, an image is a mask with soft edges, not a crowd.
-_MIN_WIDTH_PX = 3.0  # Least width of a body; narrower are edges, or slivers of hidden people.
-_MIN_INNER_SHARE = 0.2  # Outline of an edge towards higher labels, relative to that towards lower.
-_MAX_EXPOSED_SHARE = 0.1  # Of a label's outline that lies at the background if others surround it.
+# Share of a label's pixels whose neighbours all have the same label, if it is three pixels wide;
+# narrower ones may be edges. At least this share of an edge lies beside a higher label.
+_THIRD = 1 / 3
+_RIM_SHARE = 0.9  # Of the pixels at the background, if one label keeps the others from it.
 
 
-def _has_soft_edges(image: LabelImage) -> bool:
-    """Whether most labels of an image are the shades of soft edges; an error for several bodies.
+@dataclass(frozen=True)
+class _Shapes:
+    """How the labels of an image lie: arrays by label.
 
-    Shades are thin and border on a higher value on one side, or one shade surrounds another label.
+    ``cores`` and ``rising`` are shares of a label's pixels, those inside it and those beside a
+    higher label; ``exposed`` is the number of those at the background.
     """
-    present, part = image.present, image.part
-    if len(present) > _MAX_LABELS:
-        return True
-    if len(present) < 2:
-        return False
-    lower, higher, exposed = (counts[present] for counts in _outlines(part))
-    outlines = np.maximum(lower + higher, 1)
-    widths = 2 * _counts(part)[present] / outlines
-    thin = widths < _MIN_WIDTH_PX
-    edges = thin & (higher >= _MIN_INNER_SHARE * lower)
-    bodies = np.array(present)[~thin]
-    (outer,) = np.nonzero(exposed >= _MAX_EXPOSED_SHARE * outlines)
-    if len(outer) == 1 and widths[outer[0]] < widths.max():
-        bodies = np.array(present[-2:] if outer[0] else present[-1:])
+
+    present: list[int]
+    cores: NDArray[np.float64]
+    rising: NDArray[np.float64]
+    exposed: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, image: LabelImage) -> _Shapes:
+        (rows, columns), (top, left) = image.part.shape, (image.top, image.left)
+        within = slice(max(0, top - 1), top + rows + 1), slice(max(0, left - 1), left + columns + 1)
+        labels, box = image.labels[within], np.ones((3, 3), np.uint8)
+        lowest, highest = cv2.erode(labels, box), cv2.dilate(labels, box)
+        cores, rising, exposed = (
+            _counts(labels, image.present[-1] + 1, np.asarray(where).view(np.uint8))[image.present]
+            for where in (lowest == highest, highest > labels, lowest == 0)
+        )
+        areas = _counts(image.part)[image.present]
+        return cls(image.present, cores / areas, rising / areas, exposed)
+
+    @property
+    def rim(self) -> int | None:
+        """Row of the label that surrounds all others and is thinner, if there is one."""
+        widest = int(self.exposed.argmax())
+        surrounds = self.exposed[widest] >= _RIM_SHARE * self.exposed.sum()
+        return widest if surrounds and self.cores[widest] < self.cores.max() else None
+
+
+def _labels_of_bodies(image: LabelImage, lossy: bool) -> LabelImage:
+    """The labels without those of edges: of a void around bodies, or of shades at a single body."""
+    if lossy or len(image.present) > 1:
+        shapes = _Shapes.of(image)
+        if not lossy and shapes.rim == len(image.present) - 1:
+            # PASCAL VOC's void (255) around every object.
+            return LabelImage.of(np.where(image.labels == image.present[-1], 0, image.labels))
+        if lossy or _has_soft_edges(shapes):
+            return LabelImage.of(_thresholded(image, lossy))
+    return image
+
+
+def _has_soft_edges(shapes: _Shapes) -> bool:
+    """Whether most labels are the shades of soft edges; an error for those of several bodies."""
+    present = shapes.present
+    edges = (shapes.cores < _THIRD) & (shapes.rising >= _THIRD)
+    bodies = np.array(present)[~edges]
+    if shapes.rim == 0:  # One shade around a body may be wide.
+        bodies = np.array(present[-1:])
     elif np.count_nonzero(edges) < max(1, len(bodies)):
         return False
     if (bodies < _CERTAIN_SHARE * present[-1]).any():
         raise ImageError(_SOFT_EDGES.format(len(present)))
     return True
-
-
-def _outlines(part: Labels) -> NDArray[np.float64]:
-    """Length of each label's outline towards lower labels, higher ones, and 0: ``(3, labels)``."""
-    outlines, padded = np.zeros((3, int(part.max()) + 1)), np.pad(part, 1)
-    for first, second in ((padded[:, 1:], padded[:, :-1]), (padded[1:], padded[:-1])):
-        low, high = np.minimum(first, second), np.maximum(first, second)
-        differ = np.asarray(low != high).view(np.uint8)
-        exposed = differ & np.asarray(low == 0).view(np.uint8)
-        for row, (labels, where) in enumerate(((high, differ), (low, differ), (high, exposed))):
-            outlines[row] += _counts(labels, outlines.shape[1], where)
-    return outlines
 
 
 def _counts(
@@ -197,8 +240,8 @@ _CERTAIN_SHARE = 0.81
 _MAX_BETWEEN = 0.75
 
 _SOFT_EDGES = (
-    f"expected a mask of at most {_MAX_LABELS} labels that mark bodies, got {{}} values: a mask "
-    "with soft edges must be thresholded first"
+    "expected a mask of labels that mark bodies, got {} values: a mask with soft edges must be "
+    "thresholded first"
 )
 
 
@@ -246,7 +289,8 @@ def _check_scatter(image: LabelImage) -> None:
 # change. Parts of a label below this size and below this share of its largest part are specks.
 _MIN_FIGURE_PX = 12
 _SPECK_SHARE = 0.05
-_MAX_BORDER_SHARE = 0.75  # Largest share of the frame's border that a person covers.
+_MAX_BORDER_SHARE = 0.75  # Largest share of the frame's border that people cover.
+_MAX_NAMED = 5
 
 
 def _of_figures(image: LabelImage) -> LabelImage:
@@ -266,11 +310,11 @@ def _of_figures(image: LabelImage) -> LabelImage:
             "got smaller ones"
         )
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    covered = _counts(border[None])[1:]
-    if covered.size and covered.max() >= _MAX_BORDER_SHARE * border.size:
+    if np.count_nonzero(border) >= _MAX_BORDER_SHARE * border.size:
+        found = ", ".join(map(str, np.unique(border[border > 0])[:_MAX_NAMED].tolist()))
         raise ImageError(
-            f"expected a mask whose background is 0, got label {covered.argmax() + 1} along "
-            "the frame's border: the mask may be inverted"
+            f"expected a mask whose background is 0, got labels {found} along the frame's border: "
+            "the mask may be inverted, or label walls and floors"
         )
     return figures.merged() if len(figures.present) == 1 and figures.present != [1] else figures
 

@@ -18,9 +18,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import Box, PixelRect, crop_and_resize
 from app.vision.people import COCO_NAMES, ObservedKeypoints
-from app.vision.tflite import TfliteNetwork
 
 _KEYPOINTS = len(COCO_NAMES)
 
@@ -47,7 +47,7 @@ _CHANNELS = (1, 2, 2, 2 * _KEYPOINTS, _KEYPOINTS, 2 * _KEYPOINTS)
 class MoveNet:
     """MoveNet; thread-safe.
 
-    Path, threads, copies and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Path, threads, copies and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box, PersonWindow
 
-SegmenterName = Literal["network", "background", "mask"]
+SegmenterName = Literal["network", "background", "mask", "grabcut"]
 
 COCO_NAMES = (
     "nose", "left_eye", "right_eye", "left_ear", "right_ear",
@@ -140,7 +140,7 @@ class Silhouette:
     # Column and row of the crop's first pixel in the frame.
     left: int
     top: int
-    # The source of the silhouette: ``network``, ``background`` or ``mask``.
+    # The source of the silhouette.
     segmenter: SegmenterName
     truncated: bool  # whether the frame's border or another person cuts the body
 

@@ -1,13 +1,11 @@
-"""Re-scoring of the boxes that the networks find, by two detectors that see only these boxes.
+"""Re-scoring of the boxes that the detectors find, by an object detector that sees only these.
 
-OpenCV's HOG people detector, a linear SVM on histograms of oriented gradients [1]_, recognises
-standing people. MediaPipe's object detector, a MobileNet [2]_ trained on Open Images, compares
-people with animals and furniture.
+MediaPipe's object detector, a MobileNet [1]_ trained on Open Images, compares people with animals
+and furniture.
 
 References
 ----------
-.. [1] N. Dalal, B. Triggs, "Histograms of oriented gradients for human detection", CVPR 2005.
-.. [2] M. Sandler et al., "MobileNetV2: Inverted Residuals and Linear Bottlenecks", CVPR 2018.
+.. [1] M. Sandler et al., "MobileNetV2: Inverted Residuals and Linear Bottlenecks", CVPR 2018.
 """
 
 from pathlib import Path
@@ -16,45 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.geometry import Box, PersonWindow, resize, sample_window
-from app.vision.tflite import TfliteNetwork
-
-PERSON_PX = 96
-"""Height of a person in the windows on which the detector was trained."""
-
-_WINDOW_PX = (64, 128)
-_STRIDE_PX = 8
-# Windows in which a box is scored, relative to the box.
-_BOX_SCALE = 1.06
-# Lower margins are raised to this.
-_MIN_MARGIN = -5.0
-# The score of a box is that of the best window within a stride around it.
-_SCORED_PX = tuple(side + 2 * _STRIDE_PX for side in _WINDOW_PX)
-
-
-def _people_classifier() -> cv2.HOGDescriptor:
-    hog = cv2.HOGDescriptor()
-    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())  # type: ignore[attr-defined]
-    return hog
-
-
-# Shared by all threads: `detect` only reads the weights.
-_HOG = _people_classifier()
-
-
-def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
-    """Signed distance from the decision boundary: how much a box looks like a person."""
-    scale = _BOX_SCALE * box.height / PERSON_PX
-    width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
-    left = round(box.x + 0.5 + (box.width - width) / 2)
-    top = round(box.y + 0.5 + (box.height - height) / 2)
-    # At whole pixels; the frame's border is repeated beyond the frame, so that no edge is added.
-    around = cv2.getRectSubPix(
-        frame, (width, height), (left + (width - 1) / 2, top + (height - 1) / 2)
-    ).astype(np.uint8, copy=False)
-    _, margins = _HOG.detect(resize(around, *_SCORED_PX), -10.0, (_STRIDE_PX, _STRIDE_PX), (0, 0))
-    return max(_MIN_MARGIN, float(np.max(margins)))
-
+from app.networks.tflite import TfliteNetwork
+from app.vision.geometry import PersonWindow, sample_window
 
 _CLASSES = (
     "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
@@ -73,7 +34,7 @@ _GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
 class ObjectNetwork:
     """Distinguishes people from other objects; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

@@ -11,16 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.dense import shipped_network
 from app.vision.appearance import colour_distance
 from app.vision.blazepose import PoseReading
-from app.vision.depth import DenseNetwork
 from app.vision.geometry import Box, PersonWindow
-from app.vision.models import network_path
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
@@ -176,13 +174,7 @@ class KnownPerson:
 
 def same_probabilities(features: NDArray[np.float64]) -> NDArray[np.float64]:
     """Probability ``(N,)`` that two people of different frames are the same, from features."""
-    return sigmoid(_identity_network()(features)[:, 0].astype(np.float64))
-
-
-@cache
-def _identity_network() -> DenseNetwork:
-    with np.load(network_path("identity")) as stored:
-        return DenseNetwork.of(dict(stored), "identity")
+    return sigmoid(shipped_network("identity")(features)[:, 0].astype(np.float64))
 
 
 def _size(box: Box) -> float:

@@ -5,12 +5,14 @@ A motion folder whose BVH files are not CMU's holds a ``rig.json``::
     {"metres_per_unit": 0.01, "joints": {"Hips": "mixamorig:Hips", "LowerBack": "mixamorig:Spine"}}
 
 ``joints`` maps our joints to those of the files that drive them; one of theirs may drive several of
-ours. Joints left out have our names in the files.
+ours. Joints left out have our names in the files. In the zero pose, all angles 0, the person has to
+stand: y is up. If the bones lie along an axis instead, as in Rokoko's and Xsens' files,
+``"rest_frame"`` is the number of a frame of every clip in which the person stands, arms out.
 """
 
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -45,12 +47,14 @@ class Rig(BaseModel):
     """How the joints of some BVH files correspond to ours, and their unit of length.
 
     ``joints`` has joints of the files by the names of ours; those left out have the same name.
+    ``rest_frame`` is a frame that replaces the zero pose.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     joints: dict[str, str] = {}
     metres_per_unit: float = Field(default=METRES_PER_UNIT, gt=0, allow_inf_nan=False)
+    rest_frame: int | None = Field(default=None, ge=0)
 
 
 CMU = Rig()
@@ -62,7 +66,7 @@ def read_rig(folder: Path) -> Rig:
     if not file.exists():
         return CMU
     try:
-        return Rig.model_validate_json(file.read_bytes())
+        return Rig.model_validate_json(file.read_text("utf-8-sig", "replace"))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the file"
@@ -139,7 +143,7 @@ def read_manifest(folder: Path) -> list[Segment]:
 
 def _read_segments(file: Path) -> list[Segment]:
     try:
-        with file.open(newline="", encoding="utf-8") as lines:
+        with file.open(newline="", encoding="utf-8-sig") as lines:
             table = csv.DictReader(lines)
             rows = [(table.line_num, row) for row in table]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -191,7 +195,7 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
     jump = _jumps(local[:, [0, *reliable]]) & ~t_pose
     bones, rows = _named(names, rig, file)
     positions = rig.metres_per_unit * np.asarray(bvh.root_pos, np.float64)
-    return Clip(
+    clip = Clip(
         name=Path(file).stem,
         bones=bones,
         parents=tuple(parents[row] for row in rows),
@@ -204,6 +208,72 @@ def read_clip(file: Path, rig: Rig = CMU) -> Clip:
         t_poses=int(t_pose.sum()),
         jumps=int(jump.sum()),
     )
+    if not all(name in bones for name in (*_FEET, *_HIPS, "Head")):
+        return clip  # What needs them says what they are called.
+    if rig.rest_frame is not None:
+        clip = _at_rest(clip, rig.rest_frame)
+    _check_zero_pose(clip, rig)
+    return clip
+
+
+_FEET, _HIPS = ("LeftFoot", "RightFoot"), ("LeftUpLeg", "RightUpLeg")
+
+
+def _starts(clip: Clip) -> NDArray[np.float64]:
+    """Where bones start in the zero pose: ``(B, 3)``, file units, from the root."""
+    starts = np.zeros_like(clip.offsets)
+    for bone, parent in enumerate(clip.parents):
+        if parent >= 0:
+            starts[bone] = starts[parent] + clip.offsets[bone]
+    return starts
+
+
+def _at_rest(clip: Clip, frame: int) -> Clip:
+    """The clip with this frame, turned to face +z, as its zero pose."""
+    if frame >= len(clip.rotations):
+        raise MotionError(
+            f"the clip {clip.name} has {len(clip.rotations)} frames: none is the rest_frame "
+            f"{frame} of {RIG_FILE}"
+        )
+    rest = clip.rotations[frame]
+    turned = np.where(np.array(clip.parents)[:, None, None] < 0, np.eye(3), rest[[*clip.parents]])
+    posed = replace(clip, offsets=np.einsum("bij,bj->bi", turned, clip.offsets))
+    left, right = (_starts(posed)[posed.bone(name)] for name in _HIPS)
+    cos, _, sin = (left - right) / max(np.linalg.norm((left - right)[[0, 2]]), 1e-9)
+    to_front = np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
+    return replace(
+        posed,
+        offsets=posed.offsets @ to_front.T,
+        tips=np.einsum("ij,bjk,bk->bi", to_front, rest, clip.tips),
+        rotations=clip.rotations @ np.swapaxes(rest, 1, 2) @ to_front.T,
+    )
+
+
+def _check_zero_pose(clip: Clip, rig: Rig) -> None:
+    """Refuse a zero pose that does not stand, or whose height is no person's."""
+    starts = _starts(clip)
+    feet = np.mean([starts[clip.bone(name)] for name in _FEET], axis=0)
+    along = starts[clip.bone("Head")] - feet
+    axis = int(np.abs(along).argmax())
+    if axis != 1 or along[1] <= 0:
+        sign = "-" if along[axis] < 0 else "+"
+        raise MotionError(
+            f"the clip {clip.name} does not stand in its zero pose: feet to head point along "
+            f"{sign}{'xyz'[axis]}, expected +y, which is up; if the motion itself has y up, write "
+            f'"rest_frame": N into {RIG_FILE}, the number of a frame in which the person stands, '
+            "arms out"
+        )
+    height = float(along[1]) * rig.metres_per_unit
+    if not _HEIGHTS_M[0] <= height <= _HEIGHTS_M[1]:
+        raise MotionError(
+            f"the clip {clip.name} is of a person of {height:.3g} m from feet to head, expected "
+            f"{_HEIGHTS_M[0]} to {_HEIGHTS_M[1]}: write the file's unit into {RIG_FILE}, such as "
+            '"metres_per_unit": 0.01'
+        )
+
+
+_HEIGHTS_M = 0.5, 2.5
+_MAX_FRAME_TIME_S = 1.0
 
 
 def _parse(file: Path) -> pybvh.Bvh:
@@ -216,6 +286,11 @@ def _parse(file: Path) -> pybvh.Bvh:
     if not (np.isfinite(bvh.joint_angles).all() and np.isfinite(bvh.root_pos).all()):
         raise MotionError(
             f"the clip {file} is malformed: a channel holds a value that is not finite"
+        )
+    if not 0 < bvh.frame_time <= _MAX_FRAME_TIME_S:
+        raise MotionError(
+            f"the clip {file} is malformed: Frame Time: expected seconds, at most "
+            f"{_MAX_FRAME_TIME_S:g}, got {bvh.frame_time:g}"
         )
     return bvh
 

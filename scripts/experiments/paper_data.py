@@ -3,30 +3,24 @@
 Four unclothed avatars (two women, two men) perform four actions before eight fixed cameras.
 One stretch of each action is sampled at regular steps. Nearly every sixth of these frames is unseen
 and the others are known, for all avatars and cameras alike: 19 frames x 4 avatars x 8 cameras make
-608 unseen silhouettes, 92 x 4 x 8, evenly thinned, 2,925 known ones.
+608 unseen silhouettes, 92 x 4 x 8, evenly thinned, 2,925 known ones. ``paper.npz`` holds them;
+:mod:`scripts.experiments.paper_simulation` renders them.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from descriptor.silhouette import HEIGHT, WIDTH, pack
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.builder import PAPER_AVATARS
-from index.build.descriptor_learning import view_joints
-from index.build.garments import make_avatars
-from index.build.motion import Segment, read_manifest
-from index.build.poses import Poses, read_poses
-from index.build.render import render, skin
 from index.build.simulate import Simulation
-from index.build.views import VIEW_DTYPE
 from index.build.writer import compress
 from index.confidence import RIGHT_BELOW_PX
-from index.skeleton import POINTS, camera_rotation
-from index.store import ENTRY_DTYPE, SKELETON_DTYPE
+
+DATA = Path(__file__).with_name("paper.npz")
+PARTS = ("known", "unseen")
 
 KNOWN = 2925
 """The paper's number of training silhouettes."""
@@ -42,91 +36,60 @@ STRETCHES = {
 STEP = 2
 """Frames from one sample to the next, for 15 samples a second."""
 
-CAMERA_DISTANCE_M = 5.0
 
-
-def rig() -> NDArray[np.void]:
-    """Place eight cameras about the person, 45 degrees apart, at 10 and 30 degrees in turn."""
-    cameras = np.zeros(8, VIEW_DTYPE)
-    cameras["azimuth_deg"] = np.arange(8) * 45.0
-    cameras["elevation_deg"] = np.tile([10.0, 30.0], 4)
-    cameras["distance"] = CAMERA_DISTANCE_M
-    return cameras
-
-
-def film(poses: Poses, avatars: Sequence[Avatar], cameras: NDArray[np.void]) -> Simulation:
-    """Film every pose on every avatar before every camera, in that order."""
-    bodies, views = len(avatars), len(cameras)
-    to_camera = camera_rotation(
-        cameras["azimuth_deg"], cameras["elevation_deg"], cameras["roll_deg"]
-    ).astype(np.float32)
-    retargeting = {
-        (clip, body): retarget(poses.clips[clip], avatar)
-        for clip in np.unique(poses.clip)
-        for body, avatar in enumerate(avatars)
-    }
-    count = len(poses) * bodies
-    silhouettes = np.empty((count * views, HEIGHT, WIDTH), np.uint8)
-    entries = np.zeros(count * views, ENTRY_DTYPE)
-    skeletons = np.empty((count, POINTS, 3), np.float16)
-    labels = np.zeros(count, SKELETON_DTYPE)
-    for skeleton in tqdm(range(count), desc="filming", unit="body"):
-        row, body = divmod(skeleton, bodies)
-        avatar, clip = avatars[body], int(poses.clip[row])
-        rotations = poses.rotations(np.array([row]))
-        transforms = pose_transforms(avatar, retargeting[clip, body], rotations)
-        skeletons[skeleton] = posed_points(avatar, transforms)[0]
-        labels[skeleton] = (clip, poses.frame[row], body, poses.action[row], 0.0)
-        vertices = skin(
-            avatar.vertices, avatar.influences, avatar.weights, transforms[0].astype(np.float32)
+def read_paper_data(file: Path = DATA) -> tuple[Simulation, Simulation]:
+    """Read the 2,925 known and the 608 unseen silhouettes with their skeletons."""
+    with np.load(file) as arrays:
+        names = [tuple(arrays[name].tolist()) for name in ("clips", "subjects", "actions")]
+        known, unseen = (
+            Simulation(
+                compress(pack_by_rows(arrays[f"{part}_silhouettes"])),
+                arrays[f"{part}_entries"],
+                arrays[f"{part}_skeletons"],
+                arrays[f"{part}_labels"],
+                *names,
+            )
+            for part in PARTS
         )
-        for view, camera in enumerate(cameras):
-            entry = skeleton * views + view
-            placed = render(
-                vertices, avatar.triangles, avatar.closed, to_camera[view],
-                float(camera["distance"]), silhouettes[entry],
-            )  # fmt: skip
-            entries[entry] = (skeleton, *camera.tolist(), *placed)
-    return Simulation(
-        compress(pack(silhouettes)), entries, skeletons, labels,
-        tuple(clip.name for clip in poses.clips), tuple(a.name for a in avatars), poses.actions,
-    )  # fmt: skip
+    return known, unseen
 
 
-def paper_data(motion: Path) -> tuple[Simulation, Simulation]:
-    """Simulate the 2,925 known and the 608 unseen silhouettes."""
-    avatars = make_avatars(PAPER_AVATARS, None)
-    subjects = {segment.action: segment.subject for segment in read_manifest(motion)}
-    parts = [
-        Segment(clip, subjects[action], action, first, first + STEP * frames)
-        for action, (clip, first, frames, _) in STRETCHES.items()
-    ]
-    poses, _ = read_poses(motion, parts)
-    known_rows, unseen_rows = [], []
-    for part in parts:
-        number = [clip.name for clip in poses.clips].index(part.clip)
-        wanted = np.isin(poses.frame, np.arange(part.start, part.end, STEP))
-        rows = np.flatnonzero((poses.clip == number) & wanted)
-        spread = np.linspace(0, len(rows) - 1, STRETCHES[part.action][3] + 2)
-        unseen = spread[1:-1].round().astype(int)
-        unseen_rows.append(rows[unseen])
-        known_rows.append(np.delete(rows, unseen))
-    known, asked = (
-        film(poses.take(np.concatenate(rows)), avatars, rig()) for rows in (known_rows, unseen_rows)
-    )
-    return known.take(np.linspace(0, len(known) - 1, KNOWN).round().astype(int)), asked
+def write_paper_data(known: Simulation, unseen: Simulation, file: Path = DATA) -> None:
+    """Write both parts; the same silhouettes give the same bytes."""
+    arrays: dict[str, Any] = {
+        name: np.array(getattr(known, name)) for name in ("clips", "subjects", "actions")
+    }
+    for part, simulation in zip(PARTS, (known, unseen), strict=True):
+        bits = pack(simulation.silhouettes(slice(None)))
+        # By columns of bytes, which differ less along a body: a quarter smaller.
+        arrays[f"{part}_silhouettes"] = bits.reshape(-1, HEIGHT, WIDTH // 8).swapaxes(1, 2).copy()
+        arrays[f"{part}_entries"] = simulation.entries
+        arrays[f"{part}_skeletons"] = simulation.skeletons
+        arrays[f"{part}_labels"] = simulation.skeleton_labels
+    np.savez_compressed(file, **arrays)
 
 
-def joint_errors(
-    known: Simulation, unseen: Simulation, numbers: NDArray[np.integer]
-) -> NDArray[np.float32]:
-    """Return mean joint reprojection errors ``(Q, N)`` in px of answers ``(Q, N)`` in 128x48."""
-    answers, truth = view_joints(known)[1], view_joints(unseen)[1]
-    errors = [
-        np.linalg.norm(answers[row] - joints, axis=-1).mean(axis=-1)
-        for row, joints in zip(numbers, truth, strict=True)
-    ]
-    return np.stack(errors)
+def pack_by_rows(columns: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Packed silhouettes ``(B, 768)`` from their columns of bytes ``(B, 6, 128)``."""
+    return np.ascontiguousarray(columns.swapaxes(1, 2)).reshape(len(columns), -1)
+
+
+def of_subject(simulation: Simulation, name: str, *, others: bool = False) -> Simulation:
+    """Return the entries of one avatar, or of all others."""
+    subjects = simulation.skeleton_labels["subject"][simulation.entries["skeleton"]]
+    own = subjects == simulation.subjects.index(name)
+    return simulation.take(np.flatnonzero(own != others))
+
+
+def of_action(simulation: Simulation, name: str) -> Simulation:
+    """Return the entries of one action."""
+    actions = simulation.skeleton_labels["action"][simulation.entries["skeleton"]]
+    return simulation.take(np.flatnonzero(actions == simulation.actions.index(name)))
+
+
+def errors_px(answers: NDArray[np.floating], truth: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return mean joint reprojection errors ``(Q, N)`` of answers ``(Q, N, 19, 2)`` in 128x48."""
+    return np.linalg.norm(answers - truth[:, None], axis=-1).mean(axis=-1)
 
 
 def nearest(
@@ -143,3 +106,13 @@ def nearest(
 def recognised(errors: NDArray[np.floating], n: int) -> float:
     """Return the percentage of queries with one of the ``n`` nearest under 5 px."""
     return 100 * float((errors[:, :n] < RIGHT_BELOW_PX).any(axis=1).mean())
+
+
+def stretched(silhouettes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Stretch the bounding boxes of silhouettes to 128x48, whatever their aspect ratio."""
+    boxes = [cv2.boundingRect(silhouette) for silhouette in silhouettes]
+    crops = [
+        one[y : y + height, x : x + width].astype(np.float32)
+        for one, (x, y, width, height) in zip(silhouettes, boxes, strict=True)
+    ]
+    return np.stack([(cv2.resize(crop, (WIDTH, HEIGHT)) >= 0.5).astype(np.uint8) for crop in crops])

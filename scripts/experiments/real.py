@@ -8,7 +8,7 @@ The references of poses are MediaPipe's (street people) and a multi-view triangu
 
 import argparse
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -33,17 +33,15 @@ from scripts.datasets import (
     read_street_people,
     read_vtest,
 )
-from scripts.experiments.real_detection import measure_detection
+from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
-    BOTH,
     LIMBS_RIGHT_BELOW_PX,
-    WAYS,
+    PAPER,
     Trial,
     cross_validated,
     cut_out,
     in_photographs,
     in_video,
-    pose_figures,
     trials_of,
 )
 from scripts.metrics import FOUND_FROM, mask_iou, reliability, true_positives
@@ -74,15 +72,20 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     photographs = read_pennfudan(folder / "pennfudan")
     people = read_street_people(folder / "pennfudan", photographs)
     shown = in_photographs(people, estimator)
-    street = {way: trials_of(shown, estimator, way) for way in WAYS}
-    videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator)
-    own = cross_validated(street[BOTH])
+    own = cross_validated(trials_of(shown, estimator))
+    videos = [
+        trial
+        for camera in POSE2SIM_CAMERAS
+        for frames in [read_pose2sim(folder / "pose2sim", camera, STEP)]
+        for trial in trials_of(in_video(frames, estimator), estimator)
+    ]
     frames = read_vtest(folder / "vtest")
     return {
-        "detection": measure_detection(photographs, detector),
+        "detection": {
+            "hog": measure_hog(photographs),
+            **measure_detection(photographs, detector),
+        },
         "silhouettes": measure_silhouettes(photographs, estimator),
-        "street": by_half(street),
-        "pose2sim": pose2sim,
         "vtest": {
             name: measure_vtest(frames, read_marks(), detector, score)
             for name, score in SCORES.items()
@@ -92,6 +95,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             "street_people": stated_and_met(own),
             "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
             "pose2sim": stated_and_met(videos),
+            "street_people_paper": stated_and_met(trials_of(shown, estimator, PAPER)),
         },
     }
 
@@ -104,31 +108,6 @@ def stated_and_met(trials: Sequence[Trial]) -> dict[str, object]:
         "ece": expected_calibration_error(confidence, right),
         "bins": reliability(confidence, right, 5),
     }
-
-
-def by_half(street: Mapping[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
-    """Return the figures of all street people and of those in odd photographs."""
-    return {
-        name: {"all": pose_figures(trials), "odd": pose_figures([t for t in trials if t.odd])}
-        for name, trials in street.items()
-    }
-
-
-def measure_pose2sim(
-    folder: Path, estimator: Estimator
-) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
-    """Return trials in the true boxes of both cameras, and figures of each kind of evidence."""
-    together: list[Trial] = []
-    found: dict[str, dict[str, Figures]] = {}
-    for camera in POSE2SIM_CAMERAS:
-        frames = read_pose2sim(folder, camera, STEP)
-        shown = in_video(frames, estimator)
-        trials = {way: trials_of(shown, estimator, way) for way in WAYS}
-        together += trials[BOTH]
-        found[camera] = {
-            way: {**pose_figures(some), "frames": len(frames)} for way, some in trials.items()
-        }
-    return together, found
 
 
 def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:

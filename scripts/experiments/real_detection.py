@@ -8,6 +8,8 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.vision.detector import NetworkDetector, detection_features
+from app.vision.detectors.hog import HogDetector
+from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Boxes
 from app.vision.odds import sigmoid
 from scripts.datasets import Photograph, as_array
@@ -39,6 +41,18 @@ def measure_detection(
         name: {**_cross_validated(candidates, truths, columns), "milliseconds": milliseconds}
         for name, columns in DETECTORS.items()
     }
+
+
+def measure_hog(photographs: Sequence[Photograph]) -> Figures:
+    """Return the figures of HOG alone, over many scales; fitted to another scene."""
+    found, spent = [], []
+    for photograph in tqdm(photographs, desc="HOG", unit="photograph"):
+        started = time.perf_counter()
+        people = HogDetector().detect(Picture(photograph.frame, ()))
+        spent.append(1000 * (time.perf_counter() - started))
+        found.append((as_array([one.box for one in people]), np.array([p.score for p in people])))
+    truths = [as_array(photograph.boxes) for photograph in photographs]
+    return {**detection_figures(found, truths), "milliseconds": float(np.median(spent))}
 
 
 def _cross_validated(

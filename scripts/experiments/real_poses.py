@@ -25,8 +25,9 @@ from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, az
 from scripts.metrics import percent
 
 SILHOUETTE, LANDMARKS, BOTH = "silhouette_alone", "landmarks_alone", "silhouette_and_landmarks"
-WAYS = (SILHOUETTE, LANDMARKS, BOTH)
-"""The evidence that hypotheses rest on."""
+PAPER, PAPER_MASK = "paper_method", "paper_method_network_silhouettes"
+"""What hypotheses rest on: the paper's method, with GrabCut's silhouettes or those of the network,
+and the service's own by kind of evidence."""
 
 NEAR = 0.1
 """A joint is right (PCK) within this share of the body's height."""
@@ -119,6 +120,8 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     """
     person = Person(shown.box, "boxes", None, shown.silhouette)
     camera = PinholeCamera.of_frame(shown.frame.shape)
+    if way in (PAPER, PAPER_MASK):
+        return answer_by_paper(estimator.by("paper"), shown, person if way == PAPER_MASK else None)
     if way != SILHOUETTE:
         decoded = estimator.decode(Upload(shown.frame), Job())
         target = Target(Detection(shown.box, 1.0))
@@ -133,14 +136,20 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
     return estimator.fit([person], camera, DEFAULT_HYPOTHESES, Job())[0]
 
 
-def trials_of(people: Sequence[Shown], estimator: Estimator, way: str) -> list[Trial]:
-    """Compare the answers about people with their references."""
-    trials = []
-    for shown in tqdm(people, desc=f"by {way}", unit="person"):
-        person = answer(estimator, shown, way)
-        if person is not None:
-            trials.append(judge(shown, person))
-    return trials
+def answer_by_paper(paper: Estimator, shown: Shown, person: Person | None) -> Person | None:
+    """Return the seven nearest entries of a person, by default as GrabCut cuts them out."""
+    if person is None:
+        decoded = paper.decode(Upload(shown.frame, boxes=[shown.box]), Job())
+        (person,) = paper.finder.find(decoded, "silhouette", Job())
+    camera = PinholeCamera.of_frame(shown.frame.shape)
+    (found,) = paper.fit([person], camera, DEFAULT_HYPOTHESES, Job())
+    return found if found is not None and found.hypotheses else None
+
+
+def trials_of(people: Sequence[Shown], estimator: Estimator, way: str = BOTH) -> list[Trial]:
+    """Compare answers about people, by default the service's own, with their references."""
+    answered = ((one, answer(estimator, one, way)) for one in tqdm(people, desc=f"by {way}"))
+    return [judge(shown, person) for shown, person in answered if person is not None]
 
 
 def judge(shown: Shown, person: Person) -> Trial:

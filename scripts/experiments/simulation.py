@@ -26,14 +26,14 @@ from index.build.calibrate import (
 from index.build.garments import make_avatars
 from index.build.motion import read_manifest
 from index.build.simulate import Simulation
-from index.candidates import RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
+from index.nearest import match_nearest
 from index.network import AXES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranking import RankingModel
 from index.silhouette_posture import KIND_OF, KINDS
-from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS, rotate_clockwise
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent
 from scripts.training.held_out import strict_index
@@ -153,7 +153,7 @@ def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figur
         for name, network in steps.items()
     }
     return {
-        "descriptor_alone": _errors(*nearest_entries(index, queries)),
+        "paper_method": by_paper(index, queries),
         **{name: summary(trial) for name, trial in trials.items()},
         "network_order_weights_and_fit": summary(answered),
         "network_alone": {
@@ -163,23 +163,24 @@ def rank(index: PoseIndex, queries: Queries, answered: Trial) -> dict[str, Figur
     }
 
 
-def nearest_entries(
-    index: PoseIndex, queries: Queries
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the errors ``(Q, N)`` in pixels and in metres of the nearest entries as they are."""
-    error_px, error_m = (np.full((len(queries), DEFAULT_HYPOTHESES), np.inf) for _ in range(2))
+def by_paper(index: PoseIndex, queries: Queries) -> Figures:
+    """Return the figures of the paper's method: the nearest entries as they are."""
+    error_px, error_m, confidence = (np.empty((len(queries), DEFAULT_HYPOTHESES)) for _ in range(3))
     for row, (silhouette, roll_deg) in enumerate(
         zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
     ):
-        rotations = silhouette_rotations(silhouette, roll_deg)
-        rotated = [RotatedQuery.of(silhouette, rotation) for rotation in rotations]
-        found = find_candidates(index, rotated, DEFAULT_HYPOTHESES).take(slice(DEFAULT_HYPOTHESES))
-        apart_2d = found.points_normalised[:, :JOINTS] - queries.joints_2d[row]
-        points_3d = rotate_clockwise(found.points_3d[:, :JOINTS], -roll_deg)
-        apart_3d = points_3d - queries.joints_3d[row]
-        error_px[row, : len(found)] = np.linalg.norm(apart_2d, axis=-1).mean(axis=-1)
-        error_m[row, : len(found)] = np.linalg.norm(apart_3d, axis=-1).mean(axis=-1)
-    return error_px, error_m
+        found = match_nearest(index, silhouette, DEFAULT_HYPOTHESES, roll_deg=roll_deg).hypotheses
+        points_2d = np.array([one.points_normalised[:JOINTS] for one in found])
+        points_3d = np.array([one.points_3d[:JOINTS] for one in found])
+        apart_2d, apart_3d = points_2d - queries.joints_2d[row], points_3d - queries.joints_3d[row]
+        error_px[row] = np.linalg.norm(apart_2d, axis=-1).mean(axis=-1)
+        error_m[row] = np.linalg.norm(apart_3d, axis=-1).mean(axis=-1)
+        confidence[row] = [one.confidence for one in found]
+    return {
+        **_errors(error_px, error_m),
+        "ece": expected_calibration_error(confidence, error_px < RIGHT_BELOW_PX),
+        "ece_floor": calibration_floor(confidence),
+    }
 
 
 def network_alone_is_right(reranker: RankingModel, queries: Queries) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from index.store import PoseIndex
 from scripts.load.client import Call, Client, Request, closed_loop
+from scripts.load.expensive import expensive
 from scripts.load.scenes import encode, street
 from scripts.load.server import Criteria, Figures, ServerProcess, run, spread
 
@@ -21,11 +22,16 @@ SHAPES = (
 SHAPED = 0.002
 """Share of the uploads with these shapes."""
 
+EXPENSIVE = 0.005
+"""Share of the uploads that are valid, small and expensive, and not damaged."""
+
 FORMS = ("none", "rle", "polygon")
 """Of the silhouettes in the answers."""
 
 MAX_MS = 2000.0
 MAX_MEMORY_MB = 600.0
+MAX_DECODER_MEMORY_MB = 500.0
+"""Of each process that decodes WebP, TIFF, GIF or BMP."""
 
 
 def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
@@ -39,6 +45,13 @@ def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
         encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 80),
         encode(".webp", frame, cv2.IMWRITE_WEBP_QUALITY, 101),
         _with_exif_orientation(encode(".jpg", frame)),
+        *(encode(extension, frame) for extension in (".gif", ".tiff", ".bmp")),
+        encode(
+            ".tiff",
+            frame,
+            *(cv2.IMWRITE_TIFF_COMPRESSION, cv2.IMWRITE_TIFF_COMPRESSION_JPEG),
+            *(cv2.IMWRITE_TIFF_ROWSPERSTRIP, 16),
+        ),
     ]
     rows, columns = np.ogrid[: mask.shape[0], : mask.shape[1]]
     masks = [
@@ -49,6 +62,7 @@ def seeds(index: PoseIndex) -> tuple[list[bytes], list[bytes]]:
         encode(".png", mask.astype(np.uint16) * 300),
         encode(".jpg", mask * 255),
         encode(".webp", mask * 255, cv2.IMWRITE_WEBP_QUALITY, 101),
+        *(encode(extension, mask) for extension in (".tiff", ".bmp")),
     ]
     return frames, masks
 
@@ -106,6 +120,7 @@ class Uploads:
         self._server = server
         self._frames, self._masks = seeds(index)
         self._shaped = shaped(np.random.default_rng(0))
+        self._expensive = [*expensive().values()]
         self._numbers = iter(range(count))
 
     def requests(self, client: int) -> Iterator[Request]:
@@ -116,7 +131,22 @@ class Uploads:
                 return
             form, parts = rng.choice(FORMS), self._parts(rng)
             path = f"/pose?silhouettes={form}" + "&n=1" * ("mask" in parts)
+            if rng.random() < EXPENSIVE:
+                path, parts = self._expensive_call(rng)
             yield Request(Call("POST", path, parts), number=number)
+
+    def _expensive_call(self, rng: np.random.Generator) -> tuple[str, dict[str, bytes]]:
+        """An expensive image wherever images are decoded; without a box no people are searched."""
+        image, sound = self._expensive[rng.integers(len(self._expensive))], self._frames[2]
+        calls = (
+            ("/pose", {"frame": image, "boxes": b"[]"}),
+            ("/pose/overlay", {"frame": image, "boxes": b"[]"}),
+            ("/cameras/expensive/frames", {"frame": image, "boxes": b"[]"}),
+            ("/pose?n=1", {"mask": image}),
+            ("/pose?n=1", {"frame": sound, "background": image}),
+            ("/v1/vision/detection", {"image": image}),
+        )
+        return calls[rng.integers(len(calls))]
 
     def _parts(self, rng: np.random.Generator) -> dict[str, bytes]:
         def one_of(images: list[bytes]) -> bytes:
@@ -149,16 +179,19 @@ def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figure
     slowest = max((answer.ms for answer in tally.answers), default=0.0)
     faults = {status: n for status, n in tally.statuses().items() if int(status) >= 500}
     memory_mb = server.memory_mb("VmHWM")
+    decoder_mb = max(server.memory_of_children_mb("VmHWM"), default=0.0)
     found = {
         "clients": CLIENTS,
         "seconds": tally.seconds,
         "uploads": count,
         "shaped_percent": 100 * SHAPED,
+        "expensive_percent": 100 * EXPENSIVE,
         "answers": tally.statuses(),
         "broken": len(tally.broken),
         "latency_ms": spread([answer.ms for answer in tally.answers]),
         "max_memory_mb": memory_mb,
         "max_memory_wanted_mb": MAX_MEMORY_MB,
+        "max_decoder_memory_mb": decoder_mb,
         "exit_status": server.stop(),
     }
     return found, {
@@ -166,6 +199,7 @@ def measure(server: ServerProcess, index: PoseIndex, count: int) -> tuple[Figure
         f"broken connections: {tally.broken}": not tally.broken,
         f"the slowest answer took {slowest:.0f} ms": slowest <= MAX_MS,
         f"memory reached {memory_mb:.0f} MB": memory_mb <= MAX_MEMORY_MB,
+        f"a decoder's memory reached {decoder_mb:.0f} MB": decoder_mb <= MAX_DECODER_MEMORY_MB,
     }
 
 

@@ -64,10 +64,13 @@ class ServerProcess:
 
     def memory_mb(self, what: str = "VmRSS") -> float:
         """Return resident memory in megabytes; ``VmHWM`` for its maximum so far."""
-        for line in Path(f"/proc/{self._process.pid}/status").read_text().splitlines():
-            if line.startswith(f"{what}:"):
-                return int(line.split()[1]) / 1024
-        raise ValueError(f"expected {what} in /proc/{self._process.pid}/status")
+        return _memory_mb(self._process.pid, what)
+
+    def memory_of_children_mb(self, what: str = "VmRSS") -> list[float]:
+        """Return the same of each process that it has started."""
+        threads = Path(f"/proc/{self._process.pid}/task")
+        children = [one for file in threads.glob("*/children") for one in file.read_text().split()]
+        return [_memory_mb(int(one), what) for one in children]
 
     def processor_s(self) -> float:
         """Return the processor time spent so far by all threads, seconds."""
@@ -83,6 +86,14 @@ class ServerProcess:
         """End the process."""
         if self.alive():
             self.stop()
+
+
+def _memory_mb(process: int, what: str) -> float:
+    status = Path(f"/proc/{process}/status")
+    for line in status.read_text().splitlines():
+        if line.startswith(f"{what}:"):
+            return int(line.split()[1]) / 1024
+    raise ValueError(f"expected {what} in {status}")
 
 
 Figures = dict[str, Any]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.depth import DenseNetwork
+from app.networks.dense import DenseNetwork
 
 Loss = Callable[[Any, Any], Any]
 """Outputs ``(B, O)`` and targets ``(B, T)`` as tensors to a mean."""

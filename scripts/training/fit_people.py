@@ -1,6 +1,6 @@
 """Fit detection scores and confidences to photographs, since simulation cannot teach them.
 
-Writes the parts `detection` and `objects` of ``app/vision/models/fitted.json`` and prints the
+Writes the parts `detection` and `objects` of ``app/networks/models/fitted.json`` and prints the
 constants of :func:`index.confidence.fused_confidences`, within about fifteen minutes. The data are
 street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP Extended) and,
 for the part `objects`, rendered photographs, which need the environment of ``docs/training.md``.
@@ -20,6 +20,7 @@ from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.results import Person
+from app.networks.shipped import FOLDER, file_of
 from app.photograph import Estimator, load_estimator, normalise_person
 from app.settings import Settings
 from app.vision.detector import (
@@ -29,7 +30,6 @@ from app.vision.detector import (
     detection_features,
 )
 from app.vision.geometry import Box, Boxes, iou_matrix
-from app.vision.models import FITTED
 from app.vision.odds import sigmoid
 from index.confidence import RIGHT_BELOW_PX, fused_agreement
 from index.skeleton import LIMB_ROWS, LIMBS
@@ -46,6 +46,7 @@ from scripts.helpers import estimate
 from scripts.results import SHARED
 from scripts.training.render.scene import Studio
 from scripts.training.render_people import PEOPLE
+from scripts.training.shipping import record_hash
 
 COMMAND = "python -m scripts fit-people"
 RENDERED, RENDERED_EMPTY, RENDERED_SEED = 1500, 0.4, 77
@@ -257,13 +258,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sources = detection_samples(estimator, shared)
     rendered = rendered_samples(estimator, shared)
     data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in sources.items())
-    document = json.loads(FITTED.read_text())
+    document = json.loads(file_of("fitted").read_text())
     detection = fit_detection(sources)
     objects = fit_objects(detection, [*sources.values()], rendered)
     document["detection"] = {"command": COMMAND, "data": data, "constants": detection}
     data += f", {len(rendered.truths)} of renders"
     document["objects"] = {"command": COMMAND, "data": data, "constants": objects}
-    FITTED.write_text(json.dumps(document, indent=1) + "\n")
+    fitted = FOLDER / "fitted.json"
+    fitted.write_text(json.dumps(document, indent=1) + "\n")
+    record_hash(fitted)
     features, right = confidence_samples(estimator, shared)
     print(
         f"index/confidence.py: {fit_confidence(features, right)}, fitted to {len(right)} "

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from app.networks.shipped import file_of
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.geometry import PersonWindow
 from app.vision.judgement import FRAME_POSTURES
-from app.vision.models import network_path
 from scripts.results import ROOT
 from scripts.training.photograph_data import Rows, WindowRows
 from scripts.training.render.scene import EMPTY, Photograph, Studio
@@ -181,5 +181,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.sheet is not None:
         cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
         return
-    network = LandmarkNetwork(network_path("pose_landmarks"))
+    network = LandmarkNetwork(file_of("pose_landmarks"))
     write_rows(options, studio, partial(read_windows, network))

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from app.networks.shipped import file_of
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.geometry import Box
 from app.vision.judgement import PhotographModels, load_photograph_models
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
 from app.vision.person_reader import PersonReader
@@ -71,9 +71,9 @@ class Reader:
     def load(cls) -> Self:
         """With the networks that ship."""
         people = PersonReader(
-            LandmarkNetwork(network_path("pose_landmarks")),
-            MaskNetwork(network_path("pose_mask")),
-            KeypointReader(MoveNet(network_path("movenet"))),
+            LandmarkNetwork(file_of("pose_landmarks")),
+            MaskNetwork(file_of("pose_mask")),
+            KeypointReader(MoveNet(file_of("movenet"))),
         )
         return cls(people, load_photograph_models())
 

@@ -1,4 +1,4 @@
-"""Train the model of actions: ``app/tracking/models/actions.json``.
+"""Train the model of actions: ``actions.npz``.
 
 It learns from the motion clips of ``../shared/mocap``, as true skeletons with simulated noise and
 as tracks of hypotheses. That takes ten minutes on two cores. ``evaluate actions`` measures how well
@@ -6,13 +6,12 @@ it recognises the actions of unseen subjects.
 """
 
 import argparse
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from app.tracking.actions import MODEL
+from app.networks.shipped import FOLDER
 from index import DEFAULT_PATH
 from scripts.results import SHARED
 from scripts.training.action_model import (
@@ -23,13 +22,14 @@ from scripts.training.action_model import (
     leave_subjects_out,
 )
 from scripts.training.action_tracks import read_or_make_tracks, training_windows
+from scripts.training.shipping import record_hash
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--shared", type=Path, default=SHARED)
-    parser.add_argument("--out", type=Path, default=MODEL)
+    parser.add_argument("--out", type=Path, default=FOLDER / "actions.npz")
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     parser.add_argument("--tracks", type=Path, help="file that keeps the tracks for the next time")
     options = parser.parse_args(arguments)
@@ -37,13 +37,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     windows = training_windows(options.shared, tracks)
     temperature = best_temperature(leave_subjects_out(windows), TEMPERATURES)
     model = at_temperature(fit(windows, np.ones(len(windows.motion), bool)), temperature)
-    values = {
-        "made_by": "python -m scripts train-actions",
-        "temperature": temperature,
-        "vote_weight": model.vote_weight,
-        "actions": model.actions,
-        "offsets": model.offsets.round(4).tolist(),
-        "weights": [[float(f"{value:.4g}") for value in row] for row in model.weights],
-    }
-    options.out.write_text(json.dumps(values).replace("], [", "],\n [") + "\n")
-    print(f"{options.out}: {len(windows.motion)} windows, temperature {temperature:g}")
+    np.savez(
+        options.out,
+        actions=np.array(model.actions),
+        weights=model.weights,
+        offsets=model.offsets,
+        vote_weight=np.array(model.vote_weight),
+        temperature=np.array(temperature),
+    )
+    record_hash(options.out)
+    print(f"{len(windows.motion)} windows, temperature {temperature:g}")

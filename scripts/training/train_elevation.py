@@ -1,4 +1,4 @@
-"""Train the network of camera elevations: ``app/tracking/models/elevation.npz``.
+"""Train the network of camera elevations: ``elevation.npz``.
 
 It learns from the index's skeletons, seen as its entries' cameras see them, with the errors that
 landmarks have in depth. Every third clip is held out; the errors on these are printed.
@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.tracking.body import ELEVATION_MODEL, elevation_features
+from app.networks.shipped import FOLDER
+from app.tracking.body import elevation_features
 from app.vision.judgement import load_photograph_models
 from app.vision.people import LANDMARK_NAMES
 from index import DEFAULT_PATH
@@ -21,6 +22,7 @@ from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, LIMB_ROWS, LIMBS, camera_rotation, rows
 from index.store import PoseIndex
 from scripts.training.fit_dense import fit_dense
+from scripts.training.shipping import record_hash
 
 ENTRIES, SEED = 80_000, 0
 DEPTH_ERROR_M = (0.04, 0.12)
@@ -50,7 +52,7 @@ def seen_limbs(
 def main(arguments: Sequence[str] | None = None) -> None:
     """Train as the command line asks."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=ELEVATION_MODEL)
+    parser.add_argument("--out", type=Path, default=FOLDER / "elevation.npz")
     parser.add_argument("--index", type=Path, default=DEFAULT_PATH)
     options = parser.parse_args(arguments)
     import torch
@@ -73,3 +75,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{posture:12s} {len(one):6d} rms {np.sqrt(np.mean(one**2)):5.1f} degrees")
     arrays: dict[str, Any] = {**network.arrays("elevation")}
     np.savez(options.out, **arrays)
+    record_hash(options.out)

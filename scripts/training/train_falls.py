@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from app.networks.shipped import FOLDER, read_arrays
 from app.tracking.falls import (
     COLUMNS,
-    MODEL,
     POINTS,
     WINDOW_S,
     FallModel,
@@ -33,6 +33,7 @@ from scripts.training.fall_tracks import Eyes, Track, crowd, home, tracks_of
 from scripts.training.film_tracks import film_tracks
 from scripts.training.fit_dense import midway
 from scripts.training.motion_library import Library
+from scripts.training.shipping import record_hash
 
 HOMES, CROWDS = 14000, 1200
 """Scenes of training."""
@@ -227,6 +228,7 @@ def save(model: FallModel, file: Path) -> None:
         for layer, value in enumerate(values)
     }
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    record_hash(file)
 
 
 @dataclass(frozen=True)
@@ -350,7 +352,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--start", type=Path, help="a model to train on; the result is half-way between both"
     )
-    parser.add_argument("--out", type=Path, default=MODEL)
+    parser.add_argument("--out", type=Path, default=FOLDER / "falls.npz")
     parser.add_argument("--examples", type=Path, help="write held-out tracks for the tests here")
     options = parser.parse_args(arguments)
     avatar = make_avatars(HELD_OUT_AVATARS[:1], None)[0]
@@ -370,10 +372,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
             windows_of(film_tracks(options.train), FILM_WEIGHT),
         ]
     )
-    start = None if options.start is None else FallModel.load(options.start)
+    start = None if options.start is None else FallModel.of(read_arrays(options.start))
     taught = mean_of([trained(windows, seed, start) for seed in range(NETWORKS)])
     save(taught if start is None else half_way(start, taught), options.out)
-    model = FallModel.load(options.out)
+    model = FallModel.of(read_arrays(options.out))
     print("windows", len(windows.inputs), "with a fall", int(windows.targets[:, 0].sum()))
     for name, tracks in (
         ("homes", simulated(*held, 2, options.homes // 4, 0)),

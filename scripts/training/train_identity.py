@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.shipped import FOLDER
 from app.tracking.track import BoxFilter
 from app.vision.geometry import Box
-from app.vision.models import FOLDER
 from app.vision.odds import sigmoid
 from app.vision.same_person import FEATURES, KnownPerson
 from scripts.training.fit_dense import fit_dense
 from scripts.training.render.film import RATE
+from scripts.training.shipping import record_hash
 
 LATER_S = 0.5
 """Time unseen from which a pair counts as one of a person who was lost."""
@@ -114,6 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )  # fmt: skip
     arrays: dict[str, Any] = {**network.arrays("identity")}
     np.savez(options.out, **arrays)
+    record_hash(options.out)
     same, features = pairs_of(options.held_out)
     said = sigmoid(network(features)[:, 0].astype(np.float64))
     colours = features[:, _COLOURS + 1] == 0

@@ -1,13 +1,11 @@
 """Train the models of depth and trust on rendered people: see ``docs/training.md``.
 
-Writes ``app/vision/models/photograph_models.npz``; the same bytes for the same windows. Everything
+Writes ``photograph_models.npz``; the same bytes for the same windows. Everything
 is chosen and calibrated on one half of the held-out renders and reported on the other. No real
 photograph takes part.
 """
 
 import argparse
-import hashlib
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,10 +16,11 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
 
+from app.networks.dense import DenseNetwork
+from app.networks.shipped import FOLDER, read_arrays
 from app.vision.blazepose import LANDMARKS
 from app.vision.depth import (
     RESIDUAL_M,
-    DenseNetwork,
     Depths,
     decode_depths,
     depth_features,
@@ -29,11 +28,11 @@ from app.vision.depth import (
     sight_features,
 )
 from app.vision.judgement import TrustModel, trust_features
-from app.vision.models import FOLDER, MODELS
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import fit_dense, with_outputs
 from scripts.training.photograph_data import LIMBS, TrainingRows, WindowRows
 from scripts.training.render.people import MIRRORED
+from scripts.training.shipping import record_hash
 
 FILE = FOLDER / "photograph_models.npz"
 
@@ -228,13 +227,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def store(arrays: dict[str, Any], file: Path) -> None:
     """Write arrays into a file of models, beside others that it has."""
-    kept: dict[str, Any] = {}
-    if file.exists():
-        with np.load(file) as stored:
-            kept = dict(stored)
+    kept: dict[str, Any] = read_arrays(file) if file.exists() else {}
     np.savez_compressed(file, **(kept | arrays))
-    print(f"{file}: {file.stat().st_size} bytes")
-    if file.resolve() == FILE:
-        document = json.loads(MODELS.read_text())
-        document["photograph_models"]["sha256"] = hashlib.sha256(FILE.read_bytes()).hexdigest()
-        MODELS.write_text(json.dumps(document, indent=1) + "\n")
+    record_hash(file)

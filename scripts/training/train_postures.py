@@ -1,6 +1,6 @@
 """Train the model of posture on rendered people: see ``docs/training.md``.
 
-Adds to ``app/vision/models/photograph_models.npz``; the same bytes for the same rows. Everything is
+Adds to ``photograph_models.npz``; the same bytes for the same rows. Everything is
 chosen and calibrated on one half of the held-out renders and reported on the other. No real
 photograph takes part.
 """
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.depth import DenseNetwork
+from app.networks.dense import DenseNetwork
 from app.vision.judgement import FRAME_POSTURES, PostureModel, load_photograph_models, sharpened
 from index.build.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense, half_way

@@ -28,6 +28,16 @@ def open_to_yard(serving: Serving) -> TestClient:
         ({"origin": "http://evil.example"}, True),
         ({"origin": "http://127.0.0.1:9000", "host": "127.0.0.1:8000"}, True),
         ({"origin": "http://testserver", "sec-fetch-site": "cross-site"}, True),
+        # Of another port of this machine, or of a page beside it below one domain.
+        ({"origin": "http://testserver:9000", "sec-fetch-site": "same-site"}, True),
+        (
+            {
+                "origin": "https://evil.cameras.example",
+                "host": "cameras.example",
+                "sec-fetch-site": "same-site",
+            },
+            True,
+        ),
         ({"origin": "null"}, True),
     ],
 )

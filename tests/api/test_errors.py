@@ -96,8 +96,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ("[[1, 2, 30, null]]", "boxes[0][3]: expected a number, got null; boxes are a JSON"),
             ("[[NaN, 2, 3, 4]]", ""), ("[[true, 2, 3, 4]]", ""), ('[["1", 2, 3, 4]]', ""),
         )),
-        ("/pose", form(frame="frame.jpg"), "frame", "a file, which has a filename, got text"),
-        ("/pose", body(PART.replace(b"filename", b"filename*") + b"\r\n--b--"), "frame", "a file"),
+        ("/pose", form(frame="frame.jpg"), "frame", "expected a file, got text: 'frame.jpg'"),
         ("/pose", form(frame=FRAME, boxes=b"[]"), "boxes", "expected text, got a file"),
         ("/silhouette", form(frame=FRAME, masc=MASK), "masc", "one of the fields frame, mask, "
          "background, boxes; did you mean mask?"),
@@ -112,7 +111,7 @@ REFUSED: dict[tuple[int, str], list[tuple[str, Request, str | None, str]]] = {
             ("roll_deg=20", "roll_deg: expected a multiple of 90, got '20'"),
             ("roll_deg=left", "a number, got 'left'"),
         )),
-        ("/silhouette?n=3", form(frame=FRAME), "n", "n: expected one of the query parameters view"),
+        ("/silhouette?n=3", form(frame=FRAME), "n", "one of the query parameters method, segm"),
         ("GET /index/entries/3?keypoint=coco17", {}, "keypoint", ""),
         ("GET /index/entries/1.0", {}, "entry", "whole number"),
         (DEEPSTACK, form(api_key="any"), "image", "image: expected an image file, got none"),
@@ -207,6 +206,7 @@ def test_a_refusal_says_why(
     ("changed", "request_", "status", "said"),
     [
         ({"max_cameras": 0}, (YARD, form(frame=FRAME)), 404, "no camera sessions"),
+        ({"max_cameras": 0}, ("PUT /cameras/yard", {"json": {}}), 404, "no camera sessions"),
         ({"max_upload_bytes": 100}, ("/pose", form(frame=FRAME)), 413, ""),
         ({"max_upload_bytes": 1024}, ("/pose", body(iter([PART, *[b"x" * 100] * 100]))), 413, ""),
     ],
@@ -231,6 +231,29 @@ def test_empty_fields_of_a_browser_count_as_missing(client: TestClient, photo: P
     assert response.status_code == 200, response.text
     request = body("".join([*empty, "--b--\r\n"]).encode())
     check_problem(client.post("/pose", **request), 422, "frame")
+
+
+@pytest.mark.parametrize("filename", [b"", b'; filename=""', b"; filename*=UTF-8''f.png"])
+def test_files_need_no_filename(client: TestClient, photo: Photo, filename: bytes) -> None:
+    part = PART.replace(b'; filename="f"', filename).removesuffix(FRAME) + photo.frame_png
+    response = client.post("/pose", **body(part + b"\r\n--b--\r\n"))
+    assert response.status_code == 200, response.text
+    assert response.json()["image"]["width"] == photo.frame.shape[1]
+
+
+def test_byte_order_marks_are_ignored(client: TestClient, photo: Photo) -> None:
+    configured = client.put("/cameras/marked", content=b'\xef\xbb\xbf{"fov_deg": 70}')
+    assert configured.status_code == 200, configured.text
+    response = client.post("/pose", **form(frame=photo.frame_png, boxes="\ufeff[[9, 9, 40, 90]]"))
+    assert response.status_code == 200, response.text
+    client.delete("/cameras/marked")
+
+
+def test_a_photograph_may_have_no_media_type_of_its_own(client: TestClient, photo: Photo) -> None:
+    # Generated clients send every file as this.
+    for kind in ("application/octet-stream", "image/png"):
+        response = client.post("/pose", content=photo.frame_png, headers={"content-type": kind})
+        assert response.status_code == 200, response.text
 
 
 def test_a_405_lists_the_allowed_methods(client: TestClient) -> None:

@@ -12,12 +12,12 @@ from fastapi.testclient import TestClient
 from numpy.typing import NDArray
 
 from app.estimation.upload import Upload
+from app.networks.tflite import TfliteNetwork
 from app.photograph import load_estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.geometry import Box
-from app.vision.tflite import TfliteNetwork
 from index import DEFAULT_PATH
 from index.skeleton import NATIVE, other_side
 from index.store import PoseIndex

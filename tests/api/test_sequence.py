@@ -2,19 +2,16 @@
 
 import json
 import socket
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import anyio
 import httpx
 import pytest
 from fastapi.testclient import TestClient
-from starlette.types import Message
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame
-from app.http.routing import request_state
-from app.routes import sequence
 from tests.conftest import Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample
 from tests.support.videos import numbered_frames, write_video
@@ -127,15 +124,44 @@ def test_lines_arrive_while_the_video_is_worked_on(
             assert client.post("/pose", files=photo.files).status_code == 200
             assert sample(client, "pose_sequences") == 1
         eventually(lambda: sample(client, "pose_sequences") == 0)
+        gone = {"reason": "client_gone"}
+        eventually(lambda: sample(client, "pose_rejected_total", **gone) == 1)
         hang_up_after_sending(narrow.url, long_video)
-        eventually(
-            lambda: sample(client, "pose_requests_total", route="/sequence", status="499") == 1
-        )
+        eventually(lambda: sample(client, "pose_rejected_total", **gone) == 2)
         eventually(lambda: sample(client, "pose_in_flight") == 0)
         assert sample(client, "pose_rejected_total", reason="too_many_sequences") == 1
         # The process that decoded it has ended, too.
         pid = narrow.process.pid
         assert Path(f"/proc/{pid}/task/{pid}/children").read_text().split() == []
+
+
+def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes) -> None:
+    address = httpx.URL(server.url)
+    head = b"POST /sequence HTTP/1.1\r\nHost: x\r\nContent-Type: video/avi\r\n"
+    head += b"Content-Length: 9999\r\n\r\n"
+    with ExitStack() as stack:
+        for _ in range(2):
+            slow = stack.enter_context(socket.create_connection((address.host, address.port)))
+            slow.sendall(head + video[:1000])
+        with httpx.Client(base_url=server.url, timeout=30) as client:
+            for caller in ("127.0.0.1", "10.9.9.9"):
+                headers = {"X-Forwarded-For": caller}
+                files = {"video": video}
+                answer = client.post("/sequence?max_frames=1", files=files, headers=headers)
+                assert parse(answer)[1].frames == 1
+
+
+def test_one_caller_leaves_a_place_to_others(
+    server: Server, long_video: bytes, video: bytes
+) -> None:
+    with httpx.Client(base_url=server.url, timeout=30) as client:
+        with client.stream("POST", "/sequence", files={"video": long_video}) as answer:
+            next(answer.iter_lines())
+            assert "one caller's" in check_problem(post(client, video), 503)
+            headers = {"X-Forwarded-For": "10.9.9.9"}
+            other = client.post("/sequence?max_frames=1", files={"video": video}, headers=headers)
+            assert parse(other)[1].frames == 1
+        eventually(lambda: sample(client, "pose_sequences") == 0)
 
 
 def test_sigterm_ends_a_video_with_a_line(index_path: Path, long_video: bytes) -> None:
@@ -152,26 +178,3 @@ def test_sigterm_ends_a_video_with_a_line(index_path: Path, long_video: bytes) -
         end = SequenceEnd.model_validate_json(last)
         assert end.reason == "shutdown"
         assert 0 < end.frames < 1000
-
-
-@pytest.mark.anyio
-async def test_a_client_that_does_not_read_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sequence, "_UNREAD_S", 0.05)
-    closed = []
-
-    async def lines() -> AsyncIterator[bytes]:
-        try:
-            while True:
-                yield b"{}\n"
-        finally:
-            closed.append(True)
-
-    async def send(message: Message) -> None:
-        if message["type"] == "http.response.body":
-            await anyio.sleep_forever()
-
-    scope = {"type": "http", "asgi": {"spec_version": "2.3"}}
-    with anyio.fail_after(5):
-        await sequence.LineStream(lines())(scope, anyio.sleep_forever, send)
-    assert closed == [True]
-    assert request_state(scope).rejected_reason == "client_gone"

@@ -3,7 +3,10 @@
 import contextlib
 import sys
 from collections import deque
+from copy import copy
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,8 +19,10 @@ from app.tracking import actions, falls
 from app.tracking.events import EventDetector
 from app.tracking.results import Event, TrackedFrame
 from app.vision.geometry import Box
+from app.vision.optics import Optics
 from tests.app.drawn import COLUMNS, PERSON, ROWS, draw, ids, send
 from tests.conftest import png
+from tests.golden.pictures import EMPTY_YARD, decode
 from tests.support.jobs import ShortJob
 
 
@@ -247,6 +252,59 @@ def test_who_was_hidden_does_not_fall_when_lost(
         result = session.process(Upload(draw((0, 70)), boxes=boxes), step / 10, 3, Job())
         fell += [event.event for event in result.events]
     assert "fell" not in fell and "left" in fell
+
+
+@pytest.mark.parametrize(("left", "falls"), [(122, False), (128, False), (135, True)])
+def test_who_is_lost_behind_another_one_did_not_fall(
+    session: CameraSession, monkeypatch: pytest.MonkeyPatch, left: int, falls: bool
+) -> None:
+    """Even if that one covers a few pixels of the place where they were last seen."""
+    lost = (Event("fell", "instant", 0.0, 1.0),)
+    monkeypatch.setattr(EventDetector, "lost", lambda *_: lost)
+    both = [Box(one - 0.5, 59.5, 30, PERSON) for one in (100, left)]
+    told = []
+    for step in range(40):
+        boxes = tuple(both if step < 5 else both[1:])
+        frame = draw((0, 100), (1, left)) if step < 5 else draw((1, left))
+        told += session.process(Upload(frame, boxes=boxes), step / 10, 3, Job()).events
+    assert [one.event for one in told if one.track_id == 1 and one.event != "entered"] == (
+        ["fell", "left"] if falls else ["left"]
+    )
+
+
+def test_another_roll_is_another_view(drawn: Estimator) -> None:
+    """The camera was not turned: only what the caller says about it was corrected."""
+    session, yard = CameraSession(drawn), decode(EMPTY_YARD)
+
+    def told(begin: int, end: int, picture: NDArray[np.uint8], roll_deg: float) -> list[str]:
+        raised = []
+        for time in range(begin, end):
+            noise = np.random.default_rng(time).integers(0, 3, picture.shape, np.uint8)
+            upload = Upload(cv2.add(picture, noise), optics=Optics(roll_deg=roll_deg))
+            result = session.process(upload, float(time), 0)
+            raised += [f"{one.event} {one.state}" for one in result.events]
+            assert ("obstructed" in result.warnings) == (raised[-1:] == ["obstructed begin"])
+        return raised
+
+    assert told(0, 20, yard, 0.0) == []
+    assert told(20, 40, yard, 180.0) == []
+    covered = np.full_like(yard, 90)
+    assert told(40, 50, covered, 180.0) == ["obstructed begin"]
+    # Of the view that is known now, nothing blocked is known.
+    assert told(50, 60, covered, 0.0) == ["obstructed end"]
+
+
+def test_every_frame_says_whether_people_are_left_out(drawn: Estimator) -> None:
+    """Also between two searches; who is followed is not left out."""
+    few = copy(drawn)
+    few.finder = replace(drawn.finder, max_persons=2)
+    session = CameraSession(few)
+    for step in range(20):
+        result = send(session, step / 10, (0, 20), (1, 120), (2, 220))
+        assert (len(result.persons), result.warnings) == (2, ("crowded",))
+    for step in range(20, 40):
+        result = send(session, step / 10, (0, 20), (1, 120))
+    assert (len(result.persons), result.warnings) == (2, ())
 
 
 def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:

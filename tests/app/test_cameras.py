@@ -10,6 +10,7 @@ from app.cameras import (
     CameraSessions,
     CameraSettings,
     CameraTraffic,
+    NoSessionsError,
     TooManyCamerasError,
 )
 from app.estimation.upload import Upload, UploadError
@@ -236,6 +237,12 @@ def test_settings_of_a_camera_that_has_sent_nothing_make_room() -> None:
     with pytest.raises(TooManyCamerasError, match="at most 2 cameras"):
         registry.configure(CameraKey(0, "hall"), sending)
     registry.configure(CameraKey(1, "hall"), sending)
+
+
+def test_a_service_without_sessions_configures_no_camera() -> None:
+    for settings in (CameraSettings(), CameraSettings(optics=Optics(fov_deg=60.0))):
+        with pytest.raises(NoSessionsError, match="keeps no camera sessions"):
+            Registry(max_sessions=0).configure(CameraKey(0, "yard"), settings)
 
 
 def test_another_index_ends_the_sessions_of_the_one_before() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import socket
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -17,6 +18,7 @@ from tests.support.background import BackgroundLoop
 from tests.support.balancer import CONFIGURATION, Balancer, Replica
 from tests.support.programs import run
 from tests.support.service import check_problem, eventually, send
+from tests.support.upgrades import check_hidden_requests
 from tests.support.videos import numbered_frames, write_video
 
 pytestmark = pytest.mark.skipif(
@@ -151,6 +153,14 @@ class TestPassing:
             assert any("\npose_sequences 1.0\n" in text for text in metrics)
             *_, end = lines
             assert json.loads(end)["frames"] == 400
+
+    def test_a_request_hidden_in_a_body_is_not_carried_out(
+        self, client: httpx.Client, photo: Photo
+    ) -> None:
+        address = client.base_url
+        check_hidden_requests(
+            client, lambda: socket.create_connection((address.host, address.port)), photo
+        )
 
     def test_metrics_come_from_each_replica(
         self, deployment: Deployment, client: httpx.Client

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import socket
 import ssl
 import subprocess
 import time
@@ -19,6 +20,7 @@ import pytest
 from app.settings import Settings
 from tests.conftest import ROOT, Photo, Server
 from tests.support.ports import free_ports
+from tests.support.upgrades import check_hidden_requests
 from tests.support.videos import numbered_frames, write_video
 
 NGINX = (ROOT / "deploy" / "nginx.conf").read_text()
@@ -183,6 +185,17 @@ def test_the_lines_of_a_video_come_one_by_one(client: httpx.Client, tmp_path: Pa
             times.append(time.monotonic())
     assert len(times) == 26
     assert times[-1] - times[0] > 0.1
+
+
+def test_a_request_hidden_in_a_body_is_not_carried_out(
+    proxy: Proxy, client: httpx.Client, photo: Photo
+) -> None:
+    def connect() -> ssl.SSLSocket:
+        address = httpx.URL(proxy.url)
+        plain = socket.create_connection((address.host, address.port))
+        return proxy.context.wrap_socket(plain, server_hostname="localhost")
+
+    check_hidden_requests(client, connect, photo)
 
 
 class Echo(BaseHTTPRequestHandler):

@@ -116,6 +116,7 @@ def _photographs() -> Iterator[Request]:
         "street-blazepose33", street, n=1, joints="none", observed="blazepose33", exact=False
     )
     yield _post("street-by-silhouette", street, n=1, evidence="silhouette", exact=False)
+    yield _post("street-by-paper", street, n=3, method="paper", joints="compact", exact=False)
     yield _post("street-and-mask", {**street, "mask": STREET_MASK}, n=1, exact=False)
     yield _post(
         "street-boxes",

@@ -9,15 +9,12 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
 from index.candidates import (
-    MAX_ROTATIONS,
-    MIN_ROTATION_SHARE,
-    ROTATION_STEP_DEG,
     RotatedQuery,
     find_candidates,
     landmark_rotations,
+    sample_candidates,
     silhouette_rotations,
 )
-from index.search import NearestEntries
 from index.store import PoseIndex
 from tests.index.helpers import points_of
 
@@ -56,39 +53,28 @@ UPRIGHT = (0.0,)
 
 
 @given(
-    rolls=st.lists(st.floats(-720, 720), min_size=1, max_size=60),
+    tilt=st.floats(-720, 720),
     usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)]),
 )
-def test_landmark_rotations_are_few_and_the_most_frequent(
-    rolls: list[float], usual: tuple[float, ...]
+def test_landmark_rotations_are_the_usual_one_and_that_of_the_trunk(
+    tilt: float, usual: tuple[float, ...]
 ) -> None:
-    found = landmark_rotations(usual, np.array(rolls))
-    assert 1 <= len(found) == len(set(found)) <= MAX_ROTATIONS
+    first, *others = landmark_rotations(usual, tilt)
+    assert first == usual[0]
 
-    def apart(one: float, other: float) -> float:
-        return abs((one - other + 180) % 360 - 180)
+    def apart(one: float) -> float:
+        return abs((one - tilt + 180) % 360 - 180)
 
-    # Each is a usual one or a multiple of a step, at most a step from some roll: half by rounding,
-    # half by merging.
-    for rotation in found:
-        assert rotation in usual or rotation % ROTATION_STEP_DEG == 0
-        assert min(apart(rotation, roll) for roll in rolls) <= ROTATION_STEP_DEG + 1e-6
-    near = [
-        sum(apart(rotation, roll) <= ROTATION_STEP_DEG + 1e-6 for roll in rolls)
-        for rotation in found
-    ]
-    if len(found) > 1:
-        assert all(count >= MIN_ROTATION_SHARE * len(rolls) for count in near)
+    (nearest,) = others or [first]
+    assert nearest in usual or nearest == tilt
+    assert apart(nearest) <= min(apart(one) for one in usual)
+    assert apart(nearest) <= 12
 
 
-@pytest.mark.parametrize("lean", [-150.0, -90.0, -45.0, 0.0, 30.0, 60.0, 165.0])
-def test_the_most_frequent_rotation_comes_first(lean: float) -> None:
-    rolls = np.random.default_rng(1).normal(lean, 2, 100)
-    assert landmark_rotations(UPRIGHT, rolls)[0] == lean
-
-
-def test_rotations_near_a_usual_one_are_merged_with_it() -> None:
-    assert landmark_rotations((0.0, 37.0), np.array([41.0, 33.0, 37.0, 1.0])) == [37.0, 0.0]
+def test_a_leaning_trunk_is_searched_along_the_silhouettes_axis() -> None:
+    assert landmark_rotations((0.0, 37.0, -143.0), 41.0) == (0.0, 37.0)
+    assert landmark_rotations((0.0, 37.0, -143.0), 3.0) == (0.0,)
+    assert landmark_rotations(UPRIGHT, 41.0) == (0.0, 41.0)
 
 
 @pytest.mark.parametrize("number", range(3, 576, 83))
@@ -110,20 +96,27 @@ def test_candidates_are_the_nearest_entries_and_mirror_images(
 
 def test_candidates_of_several_rotations_come_once_and_in_order(toy_index: PoseIndex) -> None:
     queries = [RotatedQuery.of(toy_index.silhouette(77), rotation) for rotation in (0.0, 15.0)]
-    searched = find_candidates(toy_index, queries, 30)
-    # Of the first rotation, half of them found by the search as well; and the same of the second.
-    upright = searched.rotation_deg == 0
-    near = NearestEntries(
-        np.concatenate([searched.entry_ids[upright][:5], np.arange(5)]),
-        np.concatenate([searched.mirrored[upright][:5], np.zeros(5, bool)]),
-        np.repeat([-3.0, 22.0], 5),
-    )
-    found = find_candidates(toy_index, queries, 30, near)
+    found = find_candidates(toy_index, queries, 30)
     keys = np.stack([found.entry_ids, found.mirrored, found.rotation_deg], axis=1)
-    assert len(np.unique(keys, axis=0)) == len(found) and 60 < len(found) <= 65
+    assert len(np.unique(keys, axis=0)) == len(found) == 60
     assert (np.diff(found.distances) >= 0).all()
-    given = find_candidates(toy_index, queries, 0, near)
-    assert sorted(given.rotation_deg) == [0.0] * 5 + [15.0] * 5
-    assert_allclose(
-        given.distances, np.linalg.norm(given.offsets.astype(np.float64), axis=1), atol=1e-6
+    assert sorted(found.rotation_deg) == [0.0] * 30 + [15.0] * 30
+
+
+@pytest.mark.parametrize("count", [10, 100, 10**6])
+def test_a_sample_is_the_same_for_every_silhouette(toy_index: PoseIndex, count: int) -> None:
+    rotations = (0.0, 15.0)
+    one, other = (
+        sample_candidates(
+            toy_index, [RotatedQuery.of(toy_index.silhouette(row), r) for r in rotations], count
+        )
+        for row in (3, 77)
     )
+    keys = [
+        set(zip(some.entry_ids.tolist(), some.mirrored.tolist(), some.rotation_deg.tolist(),
+                strict=True))
+        for some in (one, other)
+    ]  # fmt: skip
+    assert keys[0] == keys[1]
+    assert len(one) == len(keys[0]) == 4 * min(count, len(toy_index))
+    assert (np.diff(one.distances) >= 0).all()

@@ -165,9 +165,10 @@ def test_fit_keeps_bone_lengths_and_approaches_landmarks(toy_index: PoseIndex, t
     """Poses that are found near landmarks, among them those that hardly fit."""
     entry = toy_index.entry(target)
     landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
-    nearest = toy_index.landmark_search.nearest(entry.points_3d[LIMB_ROWS], (0.0,), 60)
-    near = (nearest.entry_ids != target) & ~nearest.mirrored
-    points_3d, placed = toy_index.points(nearest.entry_ids[near])
+    points_3d, placed = toy_index.points(np.delete(np.arange(len(toy_index)), target))
+    offsets = np.linalg.norm(landmarks.limb_offsets(points_3d), axis=-1).mean(axis=-1)
+    near = np.argsort(offsets, kind="stable")[:60]
+    points_3d, placed = points_3d[near], placed[near]
     fitted, fitted_placed = fit_to_landmarks(landmarks, points_3d, placed)
     assert fitted.shape == points_3d.shape and fitted_placed.shape == placed.shape
     assert_allclose(bone_lengths(fitted), bone_lengths(points_3d), rtol=1e-6)

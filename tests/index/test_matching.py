@@ -256,8 +256,8 @@ def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
     silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
     landmarks = landmarks_of(points, points_3d)
     best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
-    assert (best.entry_id, best.mirrored) == (number, True)
-    assert best.outline_distance_px == pytest.approx(0, abs=1e-6)
+    assert joint_error(best.points_normalised, points) < 1
+    assert joint_error(best.points_3d, points_3d) < 0.01
 
 
 def test_landmarks_decide_between_left_and_right(
@@ -287,7 +287,11 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
     landmarks = landmarks_of(seen, entry.points_3d)
     found = match_landmarks(toy_index, cut, 7, landmarks, whole=False)
-    assert all(joint_error(one.points_normalised, seen) < 8 for one in found.hypotheses)
+    *errors, error_facing_away = [
+        joint_error(one.points_normalised, seen) for one in found.hypotheses
+    ]
+    assert max(errors) < 8
+    assert error_facing_away < 16
     best = likeliest(found)
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
     # The silhouette affects only the order.

@@ -7,7 +7,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -28,6 +28,7 @@ pytestmark = [
 ]
 
 MOST_MB = 800
+MOST_UNREAD_MB = 120
 MOST_MS, WORST_MS = 200, 1000
 FOR_S = 8.0
 
@@ -155,3 +156,26 @@ def test_all_at_once(shipped: Server, tmp_path: Path) -> None:
     assert peak_mb <= MOST_MB
     assert np.percentile(took_ms, 99) <= MOST_MS
     assert max(took_ms) <= WORST_MS
+
+
+def test_replies_that_nobody_reads_are_given_up(shipped: Server) -> None:
+    """Ten pictures of 36 MB, one after the other; other callers are answered meanwhile."""
+
+    def memory_mb() -> int:
+        status = Path(f"/proc/{shipped.process.pid}/status").read_text().splitlines()
+        return next(int(line.split()[1]) // 1024 for line in status if line.startswith("VmRSS"))
+
+    noise = np.random.default_rng(0).integers(0, 256, (2900, 4200, 3), np.uint8)
+    frame = cv2.imencode(".jpg", noise, [cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes()
+    head = b"POST /pose/overlay HTTP/1.1\r\nHost: x\r\nContent-Type: image/jpeg\r\n"
+    address, before_mb = httpx.URL(shipped.url), memory_mb()
+    with ExitStack() as stack:
+        for _ in range(10):
+            connection = stack.enter_context(socket.create_connection((address.host, address.port)))
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.sendall(head + b"Content-Length: %d\r\n\r\n" % len(frame) + frame)
+            assert connection.recv(12) in (b"HTTP/1.1 200", b"HTTP/1.1 503")
+        answer = httpx.get(f"{shipped.url}/index", headers={"X-Forwarded-For": "10.9.9.9"})
+        assert answer.status_code == 200
+        time.sleep(40)
+        assert memory_mb() - before_mb <= MOST_UNREAD_MB

@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from app import VERSION
-from app.vision.models import MODELS
+from app.networks.shipped import LIST
 from index import DEFAULT_PATH
 from tests.conftest import ROOT, WALKERS, Server, running_server
 from tests.support.programs import output_of
@@ -60,10 +60,8 @@ def test_the_wheel_holds_what_serving_needs_and_no_builder(wheel: Path) -> None:
         assert "License-Expression: Apache-2.0" in archive.read(metadata).decode()
     licences = {name.rsplit("/", 1)[1] for name in names if ".dist-info/licenses/" in name}
     assert licences == {"LICENSE", "NOTICE"}
-    networks = {model["file"] for model in json.loads(MODELS.read_text()).values()}
-    needed = {f"app/vision/models/{file}" for file in (*networks, "models.json", "fitted.json")}
-    models = ROOT / "app" / "tracking" / "models"
-    needed |= {f"app/tracking/models/{path.name}" for path in models.iterdir()}
+    learned = {model["file"] for model in json.loads(LIST.read_text()).values()}
+    needed = {f"app/networks/models/{file}" for file in (*learned, "models.json")}
     needed |= {f"index/data/{path.name}" for path in DEFAULT_PATH.iterdir()}
     needed |= {f"app/static/{path.name}" for path in (ROOT / "app" / "static").iterdir()}
     assert needed <= names

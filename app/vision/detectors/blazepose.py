@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.tflite import TfliteNetwork
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import PersonWindow, non_max_suppression, resize
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
-from app.vision.tflite import TfliteNetwork
 
 DETECTOR_PX = 224
 """Side of the detector's input."""
@@ -35,7 +35,7 @@ _MIN_SCORE, _NMS_IOU = 0.3, 0.3
 class BlazePoseDetector:
     """BlazePose's person detector; thread-safe.
 
-    Parameters and errors are those of :class:`app.vision.tflite.TfliteNetwork`.
+    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
     """
 
     def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+from app.tracking.results import EVENT_NAMES
 from tests.golden.answers import FOLDER
 from tests.support.ports import free_ports
 
@@ -39,6 +40,7 @@ class Service(Webhook):
         super().__init__()
         self.events = [event(name, 1e9 + number) for number, name in enumerate(events)]
         self.listed: list[dict[str, Any]] = []
+        self.raised = list(EVENT_NAMES)
         self.sessions: list[str] = []
         """``X-Session`` of the next frames; then ``warm``."""
 
@@ -46,7 +48,7 @@ class Service(Webhook):
         if path.endswith("/events"):
             return (200, {"events": self.listed}) if self.listed else (404, {"detail": "unknown"})
         if method == "GET":
-            return 200, {"zones": []}
+            return 200, {"zones": [], "events": self.raised}
         status = self.statuses.pop(0) if self.statuses else 200
         if status > 200:
             return status, {"detail": f"status {status}"}

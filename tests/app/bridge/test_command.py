@@ -11,8 +11,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -28,9 +28,11 @@ from app.bridge import source as source_module
 from app.bridge.command import fate, run
 from app.bridge.outbox import Outbox
 from app.video.frames import UnreadableError
+from tests.app.bridge.cameras import MjpegCamera, RtspCamera
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
 from tests.conftest import ROOT, Server
 from tests.golden.pictures import EMPTY_YARD, STREET, STREET_MASK, WALKER, decode
+from tests.support.programs import children
 from tests.support.videos import noisy_frames, numbered_frames, write_video
 
 Capture = pytest.CaptureFixture[str]
@@ -45,7 +47,7 @@ def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def video(tmp_path: Path) -> str:
-    write_video(tmp_path / "yard.avi", numbered_frames(8), fps=50)
+    write_video(tmp_path / "yard.avi", numbered_frames(8), fps=20)
     return str(tmp_path / "yard.avi")
 
 
@@ -260,32 +262,21 @@ def test_the_time_of_day_follows_a_clock_that_was_set(
         assert ("the clock of this machine was set by" in capsys.readouterr().err) == is_said
 
 
-def test_a_recording_plays_on_where_its_time_jumps(monkeypatch: pytest.MonkeyPatch) -> None:
-    times = [0.0, 0.1, 5000.0, 5000.1]
-    frames = [SimpleNamespace(timestamp=at, pixels=np.zeros((4, 4, 3), np.uint8)) for at in times]
-    film = SimpleNamespace(frames=lambda: iter(frames), close=lambda: None)
-    monkeypatch.setattr(source_module, "Video", lambda *_: film)
-    monkeypatch.setattr(source_module.Path, "is_file", lambda self: True)
-    source = source_module.Source("yard.avi")
-    with source._changed:
-        assert source._changed.wait_for(lambda: source._ended, 10)
-    assert source._number == 4
+class Shown:
+    """Videos given by the times of their frames, which break; the last is then silent."""
 
+    def __init__(self, *videos: list[float]) -> None:
+        self._videos = [*videos]
+        self.silent = threading.Event()
 
-class Stream:
-    """A stream that breaks after each of some numbers of frames, and then is silent."""
-
-    def __init__(self, lengths: list[int], silent: threading.Event) -> None:
-        self._lengths, self._silent = lengths, silent
-
-    def open(self, *_: object) -> Stream:
+    def open(self, *_: object) -> Shown:
         return self
 
-    def frames(self) -> Iterator[SimpleNamespace]:
-        for _ in range(self._lengths.pop(0)):
-            yield SimpleNamespace(timestamp=0.0, pixels=np.zeros((4, 4, 3), np.uint8))
-        if not self._lengths:
-            self._silent.set()
+    def frames(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+        for time_s in self._videos.pop(0):
+            yield time_s, np.zeros((4, 4, 3), np.uint8)
+        if not self._videos:
+            self.silent.set()
             threading.Event().wait()
         raise UnreadableError("a broken one")
 
@@ -293,14 +284,51 @@ class Stream:
         pass
 
 
+def test_a_recording_plays_on_where_its_time_jumps(
+    video: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.setattr(source_module, "Decoder", Shown([0.0, 0.1, 5000.0, 5000.1], []).open)
+    source = source_module.Source(video)
+    with source._changed:
+        assert source._changed.wait_for(lambda: source._ended, 10)
+    assert source._number == 4
+    assert capsys.readouterr().err.count("a broken one") == 1
+
+
 def test_a_lost_stream_is_opened_again_and_late_frames_are_dropped(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    silent = threading.Event()
-    monkeypatch.setattr(source_module, "Video", Stream([3, 0, 2], silent).open)
+    shown = Shown([0.0] * 3, [], [0.0] * 2)
+    monkeypatch.setattr(source_module, "Decoder", shown.open)
     source = source_module.Source("rtsp://camera")
-    assert silent.wait(10)
+    assert shown.silent.wait(10)
     assert next(source.frames(threading.Event())).number == 4
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs seccomp")
+@pytest.mark.parametrize("kind", ["rtsp", "http", "file"])
+def test_what_decodes_a_source_is_confined_and_holds_no_password_of_a_receiver(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WATCH_MQTT", "mqtt://user:s3cret@broker")
+    camera = {"rtsp": RtspCamera, "http": MjpegCamera}.get(kind)
+    if camera is None:
+        write_video(tmp_path / "long.avi", noisy_frames(200), fps=10)
+    with nullcontext(str(tmp_path / "long.avi")) if camera is None else camera() as address:
+        source = source_module.Source(address)
+        assert next(source.frames(threading.Event())).pixels.shape == (240, 320, 3)
+        processes = [Path(f"/proc/{number}") for number in children()]
+        decoders = [
+            process
+            for process in processes
+            if b"app.video.decoder" in (process / "cmdline").read_bytes()
+        ]
+        assert decoders
+        for process in decoders:
+            assert "Seccomp:\t2" in (process / "status").read_text()
+            for known in ("environ", "cmdline"):
+                assert b"s3cret" not in (process / known).read_bytes()
+                assert b"pass" not in (process / known).read_bytes()
 
 
 def falling_walker() -> Iterator[NDArray[np.uint8]]:

@@ -27,7 +27,7 @@ from tests.conftest import ROOT, start_server, wait_until
 from tests.golden.pictures import EMPTY_YARD, decode, walk
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
 from tests.support.ports import free_ports
-from tests.support.programs import run
+from tests.support.programs import none_left_running, run
 from tests.support.service import eventually
 
 pytestmark = [
@@ -160,6 +160,13 @@ def content(event: dict[str, Any]) -> str:
     """What the service says of an event."""
     own = ("id", "camera_id", "time")
     return json.dumps({k: v for k, v in event.items() if k not in own}, sort_keys=True)
+
+
+@pytest.fixture(autouse=True)
+def _ended() -> Iterator[None]:
+    """A failed run leaves no service, broker or bridge behind."""
+    with none_left_running():
+        yield
 
 
 @pytest.fixture

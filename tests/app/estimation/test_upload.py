@@ -1,11 +1,13 @@
 """Uploads: what is refused, and what the rest is decoded to."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
+from PIL import Image
 
 from app.estimation.upload import Upload, UploadDecoder, UploadError
 from app.scheduling.job import Job
@@ -37,6 +39,7 @@ TALL = np.s_[20:100, 10:40], np.s_[20:100, 90:120]
         ({}, "frame", "expected an image file"),
         ({"mask": b"m", "boxes": []}, "boxes", "expected a mask or boxes, got both"),
         ({"mask": b"m", "background": b"b"}, "background", "expected a mask or background"),
+        ({"frame": b"f", "boxes": [(1, 2, 30, 40)]}, "boxes", "expected objects of app.Box"),
         ({"frame": b"f", "track_ids": ["a"]}, "track_ids", "got 1 and no boxes"),
         ({"frame": b"f", "boxes": [Box(0, 0, 9, 9)] * 2, "track_ids": ["a", "a"]},
          "track_ids", "'a' twice"),
@@ -46,6 +49,63 @@ def test_contradicting_fields_are_refused(fields: dict[str, Any], field: str, sa
     with pytest.raises(UploadError, match=said) as error:
         Upload(**fields)
     assert (error.value.field, error.value.reason) == (field, "misfit")
+
+
+BGR = frame()
+TWO = np.zeros((120, 160), np.uint8)
+TWO[TALL[0]], TWO[TALL[1]] = 1, 2
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        str(__file__), Path(__file__), bytearray(b"x"), Image.fromarray(BGR), BGR.tolist(),
+        BGR / 255, BGR.astype(np.float32), BGR[..., 0], BGR[..., :1], np.dstack([BGR, BGR[..., 0]]),
+        BGR.transpose(2, 0, 1), BGR[None], BGR > 99, BGR.astype(np.int64), BGR.astype(np.uint16),
+        BGR[:0], np.array(None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("field", ["frame", "background"])
+def test_what_other_libraries_give_is_refused(field: str, given: Any) -> None:
+    expected = f"{field}: expected the bytes of an image file or a NumPy array of shape .H, W, 3."
+    with pytest.raises(UploadError, match=expected) as error:
+        Upload(**{"frame": png(BGR), field: given})
+    kind = f"a {type(given).__name__}"
+    if isinstance(given, np.ndarray):
+        kind += f" of shape {given.shape} and dtype {given.dtype}"
+    assert str(error.value).endswith(f"got {kind}")
+
+
+@pytest.mark.parametrize("given", [TWO / 2, TWO[None], BGR, "mask.png", TWO.tolist()])
+def test_masks_of_other_kinds_are_refused(given: Any) -> None:
+    with pytest.raises(UploadError, match=r"mask: .* shape \(H, W\) and dtype uint8, uint16 or"):
+        Upload(png(BGR), mask=given)
+
+
+def test_arrays_answer_as_files() -> None:
+    written = DECODER.decode(Upload(png(BGR), background=png(BGR[::-1].copy())), Job())
+    given = DECODER.decode(Upload(np.asfortranarray(BGR), background=BGR[::-1]), Job())
+    assert_array_equal(given.frame, written.frame)
+    assert_array_equal(given.background, written.background)
+    for labels in (TWO, TWO.astype(np.int64), TWO.astype(np.uint32)):
+        decoded = DECODER.decode(Upload(BGR, mask=labels), Job()).mask
+        assert decoded is not None and decoded.present == [1, 2]
+        assert_array_equal(decoded.labels, TWO)
+    one = DECODER.decode(Upload(mask=TWO == 1), Job()).mask
+    assert one is not None and one.present == [1]
+
+
+@pytest.mark.parametrize(
+    ("fields", "reason", "said"),
+    [
+        ({"mask": -TWO.astype(np.int32)}, "undecodable", "from 0 to 65535, got -2 to 0"),
+        ({"frame": BGR, "mask": TWO[:60]}, "misfit", "160x120 pixels like the frame"),
+    ],
+)
+def test_arrays_are_checked_like_files(fields: dict[str, Any], reason: str, said: str) -> None:
+    with pytest.raises(UploadError, match=said) as error:
+        DECODER.decode(Upload(**fields), Job())
+    assert error.value.reason == reason
 
 
 @pytest.mark.parametrize(
@@ -102,9 +162,8 @@ def test_people_may_cover_the_largest_frame_four_times() -> None:
     picture, whole = png(frame()), Box(-0.5, -0.5, 160, 120)
     assert many.decode(Upload(picture, boxes=[whole] * 4), Job()).boxes == [whole] * 4
     # Each label reaches every border.
-    crossing = png(
-        (np.add.outer(np.arange(120) // 8, np.arange(160) // 8) % 5 + 1).astype(np.uint8)
-    )
+    steps = np.add.outer(np.arange(120) // 8, np.arange(160) // 8) % 10
+    crossing = png(np.where(steps % 2, steps // 2 + 1, 0).astype(np.uint8))
     for fields in ({"frame": picture, "boxes": [whole] * 5}, {"mask": crossing}):
         with pytest.raises(UploadError, match="at most 76800 pixels, got 96000"):
             many.decode(Upload(**fields), Job())

@@ -10,6 +10,7 @@ from starlette.types import Message, Receive, Scope, Send
 from app.http.admission import AdmissionMiddleware, UploadLimits
 from app.http.errors import ProblemError, ProblemResponse
 from app.http.identity import Caller, Identity
+from app.http.routing import request_state
 from app.scheduling.queue import OverloadedError
 
 pytestmark = pytest.mark.anyio
@@ -161,6 +162,49 @@ async def test_uploads_have_a_limit_of_memory_in_common() -> None:
         tasks.start_soon(stalled.stall, b"x" * 90, "three")
         await anyio.wait_all_tasks_blocked()
         assert stalled.statuses == [503, 503]
+        tasks.cancel_scope.cancel()
+
+
+async def test_replies_that_are_not_read_count_and_make_room(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 300 bytes together, 225 for one caller: after two of 100 bytes, none of 90 has room."""
+    hung_up: list[str] = []
+    monkeypatch.setattr("app.http.admission.UNREAD_S", 1.0)
+
+    async def replying(scope: Scope, receive: Receive, send: Send) -> None:
+        await receive()
+        await PlainTextResponse(b"x" * 100)(scope, receive, send)
+
+    unread = StalledUploads(9)
+    unread.admission.app = replying
+
+    async def ask(name: str) -> None:
+        scope = scope_of(caller="one")
+        gone = anyio.Event()
+        request_state(scope).hang_up = lambda: (hung_up.append(name), gone.set())
+
+        async def receive() -> Message:
+            return {"type": "http.request", "body": b"x" * 20, "more_body": False}
+
+        async def send(message: Message) -> None:
+            if message["type"] == "http.response.body":
+                await gone.wait()
+
+        await unread.admission(scope, receive, send)
+
+    async with anyio.create_task_group() as tasks:
+        for name in ("first", "second"):
+            tasks.start_soon(ask, name)
+            await anyio.wait_all_tasks_blocked()
+        unread.admission.app = reading
+        with anyio.move_on_after(5):
+            await unread.stall(b"x" * 30, caller="one")
+        assert (unread.statuses, hung_up) == ([503], [])
+        monkeypatch.setattr("app.http.admission.STALLED_S", 0.0)
+        with anyio.move_on_after(0.1):
+            await unread.stall(b"x" * 30, caller="one")
+        assert (unread.statuses, hung_up) == ([503], ["first"])
         tasks.cancel_scope.cancel()
 
 

@@ -125,6 +125,15 @@ def test_in_a_zone_for_resting_lying_is_no_event() -> None:
     assert names(raised) == [("arms_raised", "begin")]
 
 
+@pytest.mark.parametrize("rests", [False, True])
+def test_who_is_lost_in_a_zone_for_resting_did_not_fall(rests: bool) -> None:
+    """Elsewhere, the same person fell."""
+    detector = EventDetector()
+    assert not watch([("walking", 3), ("lying", 0.3)], rests=rests, detector=detector)
+    lost = detector.lost(3.3 + 2)
+    assert [(one.event, one.lost) for one in lost] == ([] if rests else [("fell", True)])
+
+
 def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
     detector = EventDetector()
     watch([("lying", 5)], rests=True, detector=detector)

@@ -1,5 +1,6 @@
 """The model of falls on simulated tracks that it was not trained on, and what it must not see."""
 
+import copy
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -9,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.shipped import file_of
 from app.tracking.falls import (
     COLUMNS,
-    MODEL,
     POINTS,
     REPORTED_FROM,
     WINDOW_S,
@@ -124,6 +125,33 @@ def test_a_person_who_is_lost_needs_a_higher_probability_but_no_second_frame() -
     assert not report.update(0.4, 0.99, 0.0, lost=True)  # Only once.
 
 
+@pytest.mark.parametrize("fps", [5, 10, 30])
+@pytest.mark.parametrize(("up_s", "again"), [(0.4, False), (0.8, False), (1.2, True)])
+def test_only_who_is_up_for_a_second_may_fall_again(fps: float, up_s: float, again: bool) -> None:
+    """A person on the ground who looks upright for a moment has raised the alarm already."""
+    report, told, frame = FallReport(), 0, 0
+    for _ in range(5):
+        for seconds, fell, up in ((2.0, 0.9, 0.1), (up_s, 0.1, 0.9)):
+            for _ in range(round(seconds * fps)):
+                told += report.update(frame / fps, fell, up)
+                frame += 1
+    assert told == (5 if again else 1)
+
+
+def test_who_is_not_seen_does_not_get_up() -> None:
+    """No network was trained to say that of the unseen; only sightings count."""
+    report = FallReport()
+    assert report.update(0.0, 0.9, 0.1, lost=True)
+    for frame in range(1, 50):
+        assert not report.update(frame / 5, 0.9, 1.0, lost=True)
+        assert report.fallen
+    report.update(10.0, 0.1, 1.0)
+    report.update(10.8, 0.1, 1.0)
+    assert report.fallen
+    report.update(11.1, 0.1, 1.0)
+    assert not report.fallen
+
+
 @pytest.mark.parametrize("fps", [0.5, 2, 5, 15])
 def test_no_single_frame_reports_a_fall_and_certainty_does_so_soon(fps: float) -> None:
     def first(fell: list[float]) -> int | None:
@@ -191,6 +219,23 @@ def test_most_simulated_falls_are_reported_at_any_rate_and_hardly_anything_else(
     assert false <= 0.05 * len(tracks)
 
 
+def test_simulated_people_who_fell_stay_down_once_they_are_lost(
+    tracks: list[tuple[NDArray[np.float64], NDArray[np.float64], float]],
+) -> None:
+    fallen = 0
+    for times, rows, _ in tracks[::2]:
+        watch = FallWatch()
+        for number, (time, row) in enumerate(zip(times.tolist(), rows, strict=True)):
+            watch.update(time, row)
+            if number % 9 or not watch.report.fallen:
+                continue
+            fallen, lost = fallen + 1, copy.deepcopy(watch)
+            for step in range(10, 40):
+                lost.lost(time + step / 5)
+                assert lost.report.fallen
+    assert fallen > 30
+
+
 def test_neither_the_size_of_the_frame_nor_a_mirror_changes_anything() -> None:
     generator = np.random.default_rng(1)
     times = np.cumsum(generator.uniform(0.1, 0.4, 20))
@@ -228,7 +273,7 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
 
 def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
     model = shipped_model()
-    assert MODEL.stat().st_size < 170_000
+    assert file_of("falls").stat().st_size < 170_000
     assert sum(map(np.size, model.weights)) < 3 * 30_000
     wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
     with pytest.raises(ValueError, match="expected weights Nx60x"):

@@ -288,6 +288,13 @@ def test_who_is_read_in_the_window_of_a_track_is_likelier_its_person() -> None:
         assert there > elsewhere
 
 
+def test_who_stops_out_of_reach_of_where_they_ran_to_is_found_in_their_own_window() -> None:
+    track, stopped = walking(1000, 600), at(1000)
+    assert not track.known(2.0).may_be(stopped.box)
+    assert associate([track], [stopped], 2.0, {0: track}) == [track]
+    assert associate([track], [stopped], 2.0) == [None]
+
+
 @pytest.mark.parametrize(
     ("boxes", "interval_s", "gap_s"),
     [

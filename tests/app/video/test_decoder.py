@@ -142,6 +142,24 @@ def test_code_of_a_hostile_file_can_reach_nothing(tmp_path: Path) -> None:
     assert file.exists()
 
 
+NEED_NO_DESCRIPTOR = ('"fork"', '"run"', '"end the service"', '"delete"')
+
+
+def test_without_seccomp_nothing_can_be_opened_either(tmp_path: Path) -> None:
+    """Other systems, and kernels that refuse it, still have limits."""
+    refused = "def refused(**_):\n    raise OSError('no seccomp')\n"
+    code = ATTEMPTS.replace("decoder.main()", f"{refused}decoder.forbid_system_calls = refused")
+    lines = [
+        line for line in code.splitlines() if not any(one in line for one in NEED_NO_DESCRIPTOR)
+    ]
+    file = tmp_path / "v"
+    file.write_bytes(b"data")
+    with start(file, "\n".join([*lines, "decoder.main()"])) as process:
+        out, errors = process.communicate(timeout=20)
+    assert b"without seccomp: no seccomp" in errors
+    assert out == b"decoded 4\n"
+
+
 def test_it_ends_quietly_when_its_output_is_closed(tmp_path: Path) -> None:
     write_video(tmp_path / "v.avi", numbered_frames(20, 480, 640))
     with start(tmp_path / "v.avi") as process:

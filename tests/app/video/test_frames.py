@@ -332,3 +332,13 @@ def test_timestamps_always_ascend(reported: list[float | None], fps: float) -> N
     times = [clock.timestamp(one) for one in reported]
     assert times[0] == 0
     assert all(second >= first + MIN_STEP_S * (1 - 1e-6) for first, second in pairwise(times))
+
+
+@pytest.mark.parametrize("interval_s", [0.0, 0.1, 0.25, 1.0])
+def test_frames_come_at_most_once_an_interval(tmp_path: Path, interval_s: float) -> None:
+    write_video(tmp_path / "v.avi", numbered_frames(25), fps=10)
+    times = [one.timestamp for one in Video(str(tmp_path / "v.avi")).frames(interval_s=interval_s)]
+    assert times[0] == 0
+    wanted = 25 if interval_s <= 0.1 else 2.5 / interval_s
+    assert len(times) == pytest.approx(wanted, abs=1)
+    assert all(later - one >= interval_s - 0.11 for one, later in pairwise(times))

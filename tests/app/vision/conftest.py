@@ -5,12 +5,12 @@ import pytest
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from app.networks.shipped import file_of
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
 from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box, PersonWindow
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
@@ -40,20 +40,8 @@ def scores_of(
 
 
 @pytest.fixture(scope="session")
-def walkers() -> list[Box]:
-    """The three walkers of `street`, marked by hand."""
-    return [Box(28, 43, 32, 76), Box(135, 162, 40, 105), Box(227, 147, 40, 104)]
-
-
-@pytest.fixture(scope="session")
-def far_walkers() -> list[Box]:
-    """The two people at the upper edge of `street`, marked by hand."""
-    return [Box(207, 0, 24, 55), Box(232, 0, 24, 57)]
-
-
-@pytest.fixture(scope="session")
 def movenet() -> MoveNet:
-    return MoveNet(network_path("movenet"))
+    return MoveNet(file_of("movenet"))
 
 
 @pytest.fixture(scope="session")
@@ -63,22 +51,22 @@ def reader(movenet: MoveNet) -> KeypointReader:
 
 @pytest.fixture(scope="session")
 def landmark_network() -> LandmarkNetwork:
-    return LandmarkNetwork(network_path("pose_landmarks"))
+    return LandmarkNetwork(file_of("pose_landmarks"))
 
 
 @pytest.fixture(scope="session")
 def mask_network() -> MaskNetwork:
-    return MaskNetwork(network_path("pose_mask"))
+    return MaskNetwork(file_of("pose_mask"))
 
 
 @pytest.fixture(scope="session")
 def body_detector() -> BlazePoseDetector:
-    return BlazePoseDetector(network_path("pose_detection"))
+    return BlazePoseDetector(file_of("pose_detection"))
 
 
 @pytest.fixture(scope="session")
 def objects() -> ObjectNetwork:
-    return ObjectNetwork(network_path("objects"))
+    return ObjectNetwork(file_of("objects"))
 
 
 @pytest.fixture(scope="session")

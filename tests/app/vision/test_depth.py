@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from app.vision.depth import HIPS, DenseNetwork, decode_depths, network_depths
+from app.networks.dense import DenseNetwork
+from app.vision.depth import HIPS, decode_depths, network_depths
 
 
 def dense(seed: int, sizes: tuple[int, ...]) -> DenseNetwork:

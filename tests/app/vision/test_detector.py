@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LandmarkNetwork, PoseReading
 from app.vision.detector import NetworkDetector, detection_odds
+from app.vision.detectors.hog import hog_margin
 from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.detectors.tiles import (
     Picture,
@@ -21,7 +22,7 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
-from app.vision.rescoring import ObjectNetwork, hog_margin
+from app.vision.rescoring import ObjectNetwork
 from tests.app.painted import detected, painted
 from tests.app.vision.conftest import found_share, moved, scores_of
 

@@ -173,7 +173,7 @@ def test_image_of_a_million_empty_segments_is_refused() -> None:
         decode_image(jpeg[:2] + b"\xff\xe5\0\2" * 1_000_000 + jpeg[2:], max_pixels=LIMIT)
     empty = struct.pack(">I4sI", 0, b"IDAT", zlib.crc32(b"IDAT"))
     place = image.index(b"IDAT") - 4
-    with pytest.raises(ImageError, match="broken"):
+    with pytest.raises(ImageError, match="too many segments"):
         decode_image(image[:place] + empty * 100_000 + image[place:], max_pixels=LIMIT)
 
 

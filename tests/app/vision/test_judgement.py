@@ -7,6 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
+from app.networks.dense import DenseNetwork
+from app.networks.shipped import NetworkError, file_of
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.depth import HIPS
 from app.vision.geometry import Box, PersonWindow
@@ -14,19 +16,18 @@ from app.vision.judgement import (
     FRAME_POSTURES,
     FramePosture,
     PhotographModels,
+    TrustModel,
     load_photograph_models,
     posture_features,
     region_features,
     sharpened,
     trust_features,
 )
-from app.vision.models import network_path
 from app.vision.movenet import KeypointReader
 from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES
 from app.vision.person_reader import PersonReader
-from app.vision.tflite import NetworkError
 from index.skeleton import other_side
 from tests.support.projection import project
 
@@ -213,8 +214,20 @@ def test_asphalt_is_nobody(
         assert models.judge(reading, camera).trust.person < 0.5
 
 
+@pytest.mark.parametrize("odds", [-3.0, 0.0, 2.0])
+def test_what_is_as_often_a_person_as_in_training_says_nothing(odds: float) -> None:
+    """Six of seven windows in training show a person; trust assumes that one of two does."""
+    none, one = np.zeros(1, np.float32), np.ones(1, np.float32)
+    said = np.array([np.log(6) + odds, 1.0], np.float32)
+    network = DenseNetwork(none, one, (np.zeros((1, 2), np.float32),), (said,))
+    trust = TrustModel(network).estimate(np.zeros(1))
+    assert trust.person == pytest.approx(1 / (1 + np.exp(-odds)), abs=1e-4)
+    # Of right landmarks, it keeps the share in training.
+    assert trust.right == pytest.approx(np.prod(1 / (1 + np.exp(-said))), abs=1e-4)
+
+
 def test_what_ships_is_small(models: PhotographModels) -> None:
-    assert network_path("photograph_models").stat().st_size < 2_500_000
+    assert file_of("photograph_models").stat().st_size < 2_500_000
     assert models.posture.network.biases[-1].shape == (len(FRAME_POSTURES),)
 
 

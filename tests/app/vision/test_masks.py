@@ -153,7 +153,7 @@ def test_limbs_cut_off_by_a_post_are_kept() -> None:
 def test_inverted_masks_are_refused(soft: bool) -> None:
     for whole in (FIGURE, figure(150), 0 * FIGURE):
         inverted = np.round(255 * (1 - (whole if soft else whole >= 0.5))).astype(np.uint8)
-        with pytest.raises(ImageError, match=r"background is 0, got label .*inverted"):
+        with pytest.raises(ImageError, match=r"background is 0, got labels .*inverted"):
             decoded(inverted)
 
 

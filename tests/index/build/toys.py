@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.build.body import INFLUENCES, Avatar
+from index.build.motion import METRES_PER_UNIT
 
-# Bone, its parent, where it starts from there (metres; in BVH files the unit is free).
+# Bone, its parent, where it starts from there (metres; BVH files have CMU's unit).
 # The zero pose of CMU's clips: arms straight out, legs a little apart.
 SKELETON = (
     ("Hips", None, (0.0, 0.0, 0.0)),
@@ -47,6 +48,10 @@ Angles = dict[str, tuple[float, float, float]]
 """Degrees about z, y and x by bone; bones left out stay in the zero pose."""
 
 
+def _offset(metres: tuple[float, float, float]) -> str:
+    return "OFFSET {} {} {}".format(*np.divide(metres, METRES_PER_UNIT))
+
+
 def bvh_text(frames: Sequence[Angles], step: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> str:
     """A BVH file of the skeleton, rotation order ZYX, 30 frames a second.
 
@@ -60,12 +65,12 @@ def bvh_text(frames: Sequence[Angles], step: tuple[float, float, float] = (0.0, 
         lines = [
             f"{'ROOT' if name == 'Hips' else 'JOINT'} {name}",
             "{",
-            "OFFSET {} {} {}".format(*offset),
+            _offset(offset),
             f"CHANNELS {places} Zrotation Yrotation Xrotation",
             *(line for child in children for line in joint(child)),
         ]
         if not children:
-            lines += ["End Site", "{", "OFFSET {} {} {}".format(*TIPS[name]), "}"]
+            lines += ["End Site", "{", _offset(TIPS[name]), "}"]
         return [*lines, "}"]
 
     hierarchy = joint("Hips")

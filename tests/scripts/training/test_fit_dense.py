@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from app.vision.depth import DenseNetwork
+from app.networks.dense import DenseNetwork
 from scripts.training.fit_dense import averaged, fit_dense, half_way, with_outputs
 
 

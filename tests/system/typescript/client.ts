@@ -55,6 +55,15 @@ await client.DELETE("/cameras/{camera_id}", camera);
 await client.POST("/sequence", { body: { video: file(video) }, parseAs: "text" });
 const answered = structuredClone(statuses);
 
+const times: (number | undefined)[] = [];
+for (const at of [0.25, 0.75, 1.25, 1.75].map((seconds) => 1795880000 + seconds)) {
+  const reply = await client.POST("/cameras/{camera_id}/frames", {
+    params: { path: { camera_id: "timed" } },
+    body: { frame: file(frame), timestamp: at },
+  });
+  times.push(reply.data?.timestamp);
+}
+
 // Everything but the frame may be left out.
 const broken = await client.POST("/pose", { body: { frame: new Blob(["?"]) } });
 const problem: components["schemas"]["Problem"] | undefined = broken.error;
@@ -65,6 +74,7 @@ console.log(
     entries: data.persons.map((person) => person.hypotheses.map((found) => found.entry)),
     x: joint?.x,
     zones: tracked.data?.persons[0]?.zones,
+    times,
     field: problem?.field,
     picture: picture.data?.size,
   }),

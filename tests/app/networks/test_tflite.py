@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from app.vision.models import network_path
-from app.vision.tflite import NetworkError, TfliteNetwork
+from app.networks.shipped import NetworkError, file_of
+from app.networks.tflite import TfliteNetwork
 
 INPUT, OUTPUTS = (224, 224, 3), [(2254, 12), (2254, 1)]
 HEADS = [(None, None, channels) for channels in (1, 2, 2, 34, 17, 34)]
@@ -16,7 +16,7 @@ HEADS = [(None, None, channels) for channels in (1, 2, 2, 34, 17, 34)]
 
 @pytest.fixture(scope="module")
 def path() -> Path:
-    return network_path("pose_detection")
+    return file_of("pose_detection")
 
 
 def images(count: int, *shape: int) -> np.ndarray:
@@ -52,7 +52,7 @@ def test_failed_call_leaves_the_network_usable(path: Path) -> None:
 
 
 def test_open_sizes_may_change_between_calls() -> None:
-    path = network_path("movenet")
+    path = file_of("movenet")
     network = TfliteNetwork(path, [(None, None, 3)], HEADS)
     for height, width in ((64, 96), (128, 32), (64, 96), (32, 32)):
         (image,) = 255 * images(1, height, width, 3)

@@ -1,19 +1,22 @@
-"""A network stored as TFLite, run by LiteRT."""
+"""A network stored as TFLite, run by LiteRT, which is imported when a network is loaded."""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from queue import PriorityQueue
+from typing import TYPE_CHECKING
 
 import numpy as np
-from ai_edge_litert.interpreter import Interpreter
 from numpy.typing import NDArray
 
+from app.networks.shipped import NetworkError
+
+if TYPE_CHECKING:
+    from ai_edge_litert.interpreter import Interpreter
+
 Shape = tuple[int | None, ...]
-
-
-class NetworkError(RuntimeError):
-    """A network's file is missing, altered or not the expected network."""
 
 
 class TfliteNetwork:
@@ -72,6 +75,8 @@ class TfliteNetwork:
     def _load(self, threads: int) -> Interpreter:
         if not self._path.is_file():
             raise NetworkError(f"cannot read a network: {self._path} is missing")
+        from ai_edge_litert.interpreter import Interpreter
+
         try:
             interpreter = Interpreter(model_path=str(self._path), num_threads=threads)
             # Until a size that varies is known, memory for it would be wasted: 10 MB for MoveNet.

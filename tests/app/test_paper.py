@@ -1,0 +1,139 @@
+"""The paper's method: figure 1 from a photograph to poses, without a network."""
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from app.camera import CameraSession
+from app.estimation.upload import Upload
+from app.paper import detect_people, likely_shape
+from app.photograph import Estimator, MethodError, load_estimator
+from app.settings import Settings
+from app.vision.geometry import Box
+from index.store import PoseIndex
+from tests.conftest import ROOT, WALKERS, Photo
+from tests.golden.pictures import png
+
+DATA = ROOT / "tests" / "data"
+STREET = WALKERS.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def paper(settings: Settings) -> Estimator:
+    """An estimator by the paper's method over the tiny index."""
+    return load_estimator(settings.model_copy(update={"method": "paper"}))
+
+
+def test_people_are_found_by_hog(street: NDArray[np.uint8], walkers: list[Box]) -> None:
+    found = detect_people(street)
+    for walker in walkers:
+        assert max(walker.iou(one.box) for one in found) > 0.5
+
+
+def test_every_walker_has_entries_in_the_order_of_their_distances(
+    paper: Estimator, walkers: list[Box]
+) -> None:
+    persons = paper.estimate(Upload(STREET), 7).persons
+    for walker in walkers:
+        person = max(persons, key=lambda one: one.box.iou(walker))
+        assert person.box.iou(walker) > 0.4
+        assert person.source == "detector"
+        assert person.silhouette is not None and person.silhouette.segmenter == "grabcut"
+        assert person.landmarks is None
+        distances = [one.distance for one in person.hypotheses]
+        assert len(distances) == 7
+        assert distances == sorted(distances)
+        assert all(0 < one.confidence < 1 for one in person.hypotheses)
+
+
+def test_skeletons_lie_over_the_silhouette(paper: Estimator, photo: Photo) -> None:
+    (person,) = paper.estimate(Upload(photo.frame_png, photo.mask_png), 7).persons
+    best = person.hypotheses[0]
+    assert best.entry_id == photo.entry
+    assert best.points_2d[:19] == pytest.approx(photo.joints_2d, abs=0.1)
+
+
+def test_a_callers_mask_is_the_silhouette(paper: Estimator, photo: Photo) -> None:
+    (person,) = paper.estimate(Upload(mask=photo.mask_png)).persons
+    assert person.source == "mask"
+    assert person.silhouette is not None
+    assert np.array_equal(person.silhouette.mask(photo.mask.shape), photo.mask > 0)
+
+
+def test_a_callers_box_is_cut_out(paper: Estimator, photo: Photo) -> None:
+    (person,) = paper.estimate(Upload(photo.frame_png, boxes=[Box(150, 39, 48, 130)])).persons
+    assert person.source == "boxes"
+    assert person.silhouette is not None
+    cut = person.silhouette.mask(photo.mask.shape)
+    assert (cut & (photo.mask > 0)).sum() > 0.6 * photo.mask.sum()
+
+
+def test_a_background_cuts_out_whom_hog_detects(paper: Estimator) -> None:
+    yard, empty = ((DATA / name).read_bytes() for name in ("yard.jpg", "yard-empty.jpg"))
+    persons = paper.estimate(Upload(yard, background=empty)).persons
+    assert persons
+    for person in persons:
+        assert person.silhouette is not None and person.silhouette.segmenter == "background"
+
+
+def test_an_empty_frame_has_nobody(paper: Estimator) -> None:
+    assert not paper.estimate(Upload(png(np.full((120, 160, 3), 127, np.uint8)))).persons
+
+
+def test_asked_of_an_estimator_with_networks_the_answer_is_the_same(
+    paper: Estimator, estimator: Estimator
+) -> None:
+    asked = estimator.by("paper")
+    assert asked is estimator.by("paper").by()
+    assert asked.by("networks") is estimator
+    first, second = (one.estimate(Upload(STREET)).persons for one in (paper, asked))
+    assert [one.box for one in first] == [one.box for one in second]
+    for one, other in zip(first, second, strict=True):
+        assert [h.entry_id for h in one.hypotheses] == [h.entry_id for h in other.hypotheses]
+
+
+def test_without_networks_there_is_no_other_method(paper: Estimator) -> None:
+    assert paper.by() is paper is paper.by("paper")
+    with pytest.raises(MethodError, match="no network"):
+        paper.by("networks")
+    with pytest.raises(MethodError, match="no network"):
+        paper.by("paper", "network")
+    with pytest.raises(AttributeError, match="no network"):
+        _ = paper.models.detector
+
+
+def test_a_network_cuts_people_out_if_it_is_asked_to(estimator: Estimator) -> None:
+    persons = estimator.by("paper", "network").estimate(Upload(STREET)).persons
+    segmenters = {one.silhouette.segmenter for one in persons if one.silhouette}
+    assert segmenters == {"network"}
+    assert len(persons) >= 3
+    assert all(one.landmarks is None and one.hypotheses for one in persons)
+    with pytest.raises(MethodError, match="expected network"):
+        estimator.by("networks", "grabcut")
+
+
+def test_another_index_keeps_the_method(
+    paper: Estimator, estimator: Estimator, tiny_index: PoseIndex
+) -> None:
+    assert paper.with_index(tiny_index).method == "paper"
+    assert estimator.with_index(tiny_index).method == "networks"
+    assert estimator.with_index(tiny_index).by("paper").index is tiny_index
+
+
+def test_a_camera_keeps_identities(paper: Estimator) -> None:
+    frame = cv2.imread(str(WALKERS))
+    session = CameraSession(paper)
+    for step in range(5):
+        result = session.process(Upload(np.roll(frame, step, axis=1)), step / 10)
+    tracked = [one for one in result.persons if one.hypotheses]
+    assert len({one.track_id for one in tracked}) == len(tracked) >= 2
+    assert all(one.pose is not None for one in tracked)
+
+
+def test_the_likely_shape_is_a_symmetric_person(tiny_index: PoseIndex) -> None:
+    shape = likely_shape(tiny_index)
+    assert shape.shape == (128, 48)
+    assert np.array_equal(shape, shape[:, ::-1])
+    assert 0 <= shape.min() <= shape.max() <= 1
+    assert shape[:, 16:32].mean() > 2 * shape[:, [*range(8), *range(40, 48)]].mean()

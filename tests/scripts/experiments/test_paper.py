@@ -1,0 +1,154 @@
+"""The paper's experiments: their data, what is counted, and the descriptors that are compared."""
+
+from math import comb
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from descriptor.descriptor import DiagonalDescriptor
+from descriptor.krawtchouk import weighted_polynomials as krawtchouk
+from descriptor.silhouette import HEIGHT, WIDTH
+from index.build.descriptor_learning import view_joints
+from index.build.simulate import Simulation
+from scripts.experiments.paper import (
+    COUNTS,
+    PUBLISHED,
+    PUBLISHED_OF,
+    PUBLISHED_STDS_PX,
+    STDS_PX,
+    met_at_px,
+)
+from scripts.experiments.paper_data import (
+    DATA,
+    errors_px,
+    nearest,
+    of_action,
+    of_subject,
+    read_paper_data,
+    recognised,
+    stretched,
+)
+from scripts.experiments.paper_descriptors import (
+    hahn_weights,
+    hu_moments,
+    shape_contexts,
+    weighted_polynomials,
+)
+from tests.conftest import SHARED
+
+Data = tuple[Simulation, Simulation]
+
+
+@pytest.fixture(scope="module")
+def data() -> Data:
+    return read_paper_data()
+
+
+def test_there_are_as_many_silhouettes_as_in_the_paper(data: Data) -> None:
+    assert [len(part) for part in data] == [2925, 608]
+    assert DATA.stat().st_size < 550_000
+    for part in data:
+        silhouettes = part.silhouettes(slice(None))
+        assert silhouettes.shape[1:] == (HEIGHT, WIDTH)
+        # Normalised: each touches the frame above and below, or left and right.
+        tall = silhouettes[:, [0, -1]].any(axis=2).all(axis=1)
+        wide = silhouettes[:, :, [0, -1]].any(axis=1).all(axis=1)
+        assert (tall | wide).all()
+
+
+def test_unseen_frames_are_known_of_no_body_and_from_no_view(data: Data) -> None:
+    known, unseen = (
+        {tuple(row) for row in part.skeleton_labels[["clip", "frame"]]} for part in data
+    )
+    assert len(unseen) == 19 and not known & unseen
+
+
+def test_entries_are_chosen_by_body_and_action(data: Data) -> None:
+    known, _ = data
+    for name in known.subjects:
+        assert len(of_subject(known, name)) + len(of_subject(known, name, others=True)) == 2925
+    assert sum(len(of_action(known, name)) for name in known.actions) == 2925
+
+
+def test_the_papers_descriptor_recognises_what_the_page_says(data: Data) -> None:
+    known, unseen = data
+    describe = DiagonalDescriptor().describe
+    vectors = [describe(part.silhouettes(slice(None))) for part in data]
+    joints = view_joints(known)[1][nearest(*vectors, 7)]
+    errors = errors_px(joints, view_joints(unseen)[1])
+    assert recognised(errors, 1) == pytest.approx(93.42, abs=0.2)
+    assert recognised(errors, 7) == pytest.approx(97.37, abs=0.2)
+
+
+def test_published_rates_are_shares_of_252_and_not_of_608() -> None:
+    for rate in {rate for n in COUNTS for rate in PUBLISHED[n]} - {100.0}:
+        shares = [round(100 * round(rate * of / 100) / of, 2) for of in (PUBLISHED_OF, 608)]
+        assert shares[0] == rate != shares[1]
+
+
+@pytest.mark.parametrize("scale", [1, 2])
+def test_the_amplitude_that_meets_the_published_fall_is_interpolated(scale: int) -> None:
+    rates = np.interp(STDS_PX, scale * np.array(PUBLISHED_STDS_PX), PUBLISHED[1])
+    met = met_at_px({1: {"paper": rates.tolist()}})
+    assert met == {"published_at_2": pytest.approx(2 * scale), "published_at_3": 3 * scale}
+    assert met_at_px({1: {"paper": [90.0] * len(STDS_PX)}})["published_at_3"] is None
+
+
+@pytest.mark.parametrize(("size", "p"), [(128, 0.1), (128, 0.95), (48, 0.5)])
+def test_polynomials_of_binomial_weights_are_krawtchouks(size: int, p: float) -> None:
+    binomial = np.array([comb(size - 1, x) * p**x * (1 - p) ** (size - 1 - x) for x in range(size)])
+    # Up to their signs.
+    assert_allclose(
+        np.abs(weighted_polynomials(binomial, 24)), np.abs(krawtchouk(24, size, p)), atol=1e-9
+    )
+
+
+def test_hahns_weights_lie_between_even_and_binomial_ones() -> None:
+    assert_allclose(hahn_weights(48, 0.5, 0.0), 1.0)
+    binomial = np.array([comb(47, x) for x in range(48)]) / comb(47, 23)
+    assert_allclose(hahn_weights(48, 0.5, 1e6), binomial, atol=1e-3)
+
+
+def test_hus_moments_change_only_one_sign_in_the_mirror(data: Data) -> None:
+    silhouettes = data[1].silhouettes(np.arange(0, 608, 40))
+    there, mirrored = (
+        hu_moments(silhouettes),
+        hu_moments(np.ascontiguousarray(silhouettes[:, :, ::-1])),
+    )
+    assert_allclose(there[:, :6], mirrored[:, :6], atol=1e-3)
+    assert_allclose(there[:, 6], -mirrored[:, 6], atol=1e-3)
+
+
+def test_shape_contexts_count_the_other_points(data: Data) -> None:
+    contexts = shape_contexts(data[1].silhouettes(np.array([5]))[0])
+    assert contexts.shape == (64, 60)
+    assert (contexts.sum(axis=1) <= 1 + 1e-6).all() and contexts.sum(axis=1).mean() > 0.8
+
+
+def test_zernikes_moments_do_not_change_in_the_mirror(data: Data) -> None:
+    pytest.importorskip("mahotas", reason="make paper installs it")
+    from scripts.experiments.paper_descriptors import zernike_moments
+
+    silhouettes = data[1].silhouettes(np.array([3, 300]))
+    assert_allclose(
+        zernike_moments(silhouettes), zernike_moments(silhouettes[:, :, ::-1]), atol=1e-6
+    )
+
+
+def test_a_stretched_silhouette_fills_the_frame() -> None:
+    silhouette = np.zeros((1, HEIGHT, WIDTH), np.uint8)
+    silhouette[:, 40:60, 10:30] = 1
+    assert_array_equal(stretched(silhouette), np.ones_like(silhouette))
+
+
+@pytest.mark.slow
+def test_the_data_that_ships_is_what_the_command_renders(data: Data) -> None:
+    pytest.importorskip("anny", reason="needs the extra build")
+    if not (SHARED / "mocap").is_dir():
+        pytest.skip(f"no motion capture in {SHARED}")
+    from scripts.experiments.paper_simulation import simulate
+
+    for ships, rendered in zip(data, simulate(SHARED / "mocap"), strict=True):
+        assert_array_equal(ships.silhouettes(slice(None)), rendered.silhouettes(slice(None)))
+        assert_array_equal(ships.skeletons, rendered.skeletons)
