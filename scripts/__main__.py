@@ -45,7 +45,7 @@ COMMANDS = {
     ),
     "fit-people": (
         "scripts.training.fit_people",
-        "fit detection scores and confidence to photographs",
+        "fit detection scores to the street video and rendered photographs",
     ),
     "fit-paper": (
         "scripts.training.fit_paper",

@@ -1,7 +1,7 @@
 """The real experiment: street photographs and videos of ``../shared/real``.
 
-The detector's weights are cross-validated by photograph. Settings of silhouettes and poses were
-tuned on even-numbered photographs, so that the odd ones, always shown beside all, are their test.
+Settings of silhouettes and poses were chosen with a look at even-numbered photographs, so that the
+odd ones, always shown beside all, are their test. The detector is fitted to none of them.
 The references of poses are MediaPipe's (street people) and a multi-view triangulation
 (``pose2sim``): something to compare with, not ground truth.
 """
