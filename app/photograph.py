@@ -78,7 +78,7 @@ class Estimator:
         *,
         shown: bool = False,
     ) -> Estimate:
-        """Find the ``n`` nearest distinct poses of every person; the job is checked between steps.
+        """Find the ``n`` likeliest poses of every person; the job is checked between steps.
 
         Of people whom the service finds, those with the highest scores come first. As the job's
         deadline comes near, the others are left out, with the warning ``crowded``.
@@ -119,18 +119,16 @@ class Estimator:
         camera: PinholeCamera,
         n: int,
         job: Job,
-        outlines: int | None = None,
     ) -> list[Person | None]:
-        """Find the ``n`` nearest distinct poses of people; none without a silhouette.
+        """Find the ``n`` likeliest distinct poses of people; none without a silhouette.
 
-        Only the first ``outlines`` of them, by default all, certainly have an outline distance.
         None stands for people left out.
         """
         with job.stage("describe"):
             normalised = job.map(normalise_person, people)
 
         def fitted(pair: tuple[Person, NormalisedPerson | None]) -> Person:
-            return fit_poses(self.index, *pair, camera, n, outlines)
+            return fit_poses(self.index, *pair, camera, n)
 
         with job.stage("search"):
             return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
@@ -165,9 +163,8 @@ def fit_poses(
     normalised: NormalisedPerson | None,
     camera: PinholeCamera,
     n: int,
-    outlines: int | None = None,
 ) -> Person:
-    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette.
+    """Find the ``n`` likeliest distinct poses of a person; none without a normalised silhouette.
 
     See :meth:`Estimator.fit`.
     """
@@ -185,7 +182,7 @@ def fit_poses(
             landmarks,
             roll_deg=roll_deg,
             whole=normalised.whole,
-            outlines=n if outlines is None else outlines,
+            reliability=0.5 if person.trust is None else person.trust.right,
         )
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses

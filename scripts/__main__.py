@@ -45,7 +45,11 @@ COMMANDS = {
     ),
     "fit-people": (
         "scripts.training.fit_people",
-        "fit detection scores and confidence to photographs",
+        "fit detection scores to photographs",
+    ),
+    "fit-confidence": (
+        "scripts.training.fit_confidence",
+        "fit confidences to rendered people and simulated silhouettes",
     ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),

@@ -21,7 +21,6 @@ from app.settings import Settings
 from app.vision.detector import MIN_DETECTION_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from index import DEFAULT_PATH
-from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
     POSE2SIM_CAMERAS,
     Marks,
@@ -35,18 +34,15 @@ from scripts.datasets import (
 )
 from scripts.experiments.real_detection import measure_detection
 from scripts.experiments.real_poses import (
-    BOTH,
-    LIMBS_RIGHT_BELOW_PX,
     WAYS,
     Trial,
-    cross_validated,
     cut_out,
     in_photographs,
     in_video,
     pose_figures,
     trials_of,
 )
-from scripts.metrics import FOUND_FROM, mask_iou, reliability, true_positives
+from scripts.metrics import FOUND_FROM, mask_iou, true_positives
 
 STEP = 4
 """Every so many-th frame of Pose2Sim is asked: neighbours are alike."""
@@ -75,34 +71,16 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     people = read_street_people(folder / "pennfudan", photographs)
     shown = in_photographs(people, estimator)
     street = {way: trials_of(shown, estimator, way) for way in WAYS}
-    videos, pose2sim = measure_pose2sim(folder / "pose2sim", estimator)
-    own = cross_validated(street[BOTH])
     frames = read_vtest(folder / "vtest")
     return {
         "detection": measure_detection(photographs, detector),
         "silhouettes": measure_silhouettes(photographs, estimator),
         "street": by_half(street),
-        "pose2sim": pose2sim,
+        "pose2sim": measure_pose2sim(folder / "pose2sim", estimator),
         "vtest": {
             name: measure_vtest(frames, read_marks(), detector, score)
             for name, score in SCORES.items()
         },
-        "limbs_right_below_px": LIMBS_RIGHT_BELOW_PX,
-        "confidence": {
-            "street_people": stated_and_met(own),
-            "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
-            "pose2sim": stated_and_met(videos),
-        },
-    }
-
-
-def stated_and_met(trials: Sequence[Trial]) -> dict[str, object]:
-    """Return the calibration error of all hypotheses, and their confidences in five bins."""
-    confidence = np.concatenate([trial.confidence for trial in trials])
-    right = np.concatenate([trial.right for trial in trials])
-    return {
-        "ece": expected_calibration_error(confidence, right),
-        "bins": reliability(confidence, right, 5),
     }
 
 
@@ -114,21 +92,17 @@ def by_half(street: Mapping[str, list[Trial]]) -> dict[str, dict[str, Figures]]:
     }
 
 
-def measure_pose2sim(
-    folder: Path, estimator: Estimator
-) -> tuple[list[Trial], dict[str, dict[str, Figures]]]:
-    """Return trials in the true boxes of both cameras, and figures of each kind of evidence."""
-    together: list[Trial] = []
+def measure_pose2sim(folder: Path, estimator: Estimator) -> dict[str, dict[str, Figures]]:
+    """Return figures of each kind of evidence, in the true boxes of both cameras."""
     found: dict[str, dict[str, Figures]] = {}
     for camera in POSE2SIM_CAMERAS:
         frames = read_pose2sim(folder, camera, STEP)
         shown = in_video(frames, estimator)
-        trials = {way: trials_of(shown, estimator, way) for way in WAYS}
-        together += trials[BOTH]
         found[camera] = {
-            way: {**pose_figures(some), "frames": len(frames)} for way, some in trials.items()
+            way: {**pose_figures(trials_of(shown, estimator, way)), "frames": len(frames)}
+            for way in WAYS
         }
-    return together, found
+    return found
 
 
 def measure_silhouettes(photographs: Sequence[Photograph], estimator: Estimator) -> Figures:

@@ -1,7 +1,7 @@
-"""Fit detection scores and confidences to photographs, since simulation cannot teach them.
+"""Fit detection scores to photographs, since simulation cannot teach them.
 
-Writes the parts `detection` and `objects` of ``app/vision/models/fitted.json`` and prints the
-constants of :func:`index.confidence.fused_confidences`, within about fifteen minutes. The data are
+Writes the parts `detection` and `objects` of ``app/vision/models/fitted.json``, within about ten
+minutes. The data are
 street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP Extended) and,
 for the part `objects`, rendered photographs, which need the environment of ``docs/training.md``.
 Pose2Sim, UP-Fall, the falls and the homes are not used, so that they remain a test.
@@ -19,8 +19,7 @@ from scipy.optimize import minimize
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.results import Person
-from app.photograph import Estimator, load_estimator, normalise_person
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from app.vision.detector import (
     DOUBTFUL,
@@ -31,18 +30,14 @@ from app.vision.detector import (
 from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.models import FITTED
 from app.vision.odds import sigmoid
-from index.confidence import RIGHT_BELOW_PX, fused_agreement
-from index.skeleton import LIMB_ROWS, LIMBS
 from scripts.datasets import (
     Marks,
     as_array,
     read_lsp,
     read_marks,
     read_pennfudan,
-    read_street_people,
     read_vtest,
 )
-from scripts.helpers import estimate
 from scripts.results import SHARED
 from scripts.training.render.scene import Studio
 from scripts.training.render_people import PEOPLE
@@ -197,55 +192,6 @@ def _rounded(constants: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in constants.items()}
 
 
-def confidence_samples(
-    estimator: Estimator, shared: Path
-) -> tuple[list[tuple[float, float]], list[bool]]:
-    """Collect agreement and adjustment of the hypotheses of people in sport and in the street.
-
-    The second list says whether each is right: over the limbs annotated as visible, or those of
-    MediaPipe's landmarks where its mask agrees with the true one.
-    """
-    features: list[tuple[float, float]] = []
-    right: list[bool] = []
-
-    def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        normalised = normalise_person(person)
-        if normalised is None:
-            return
-        to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
-        for placed in person.hypotheses:
-            errors = np.linalg.norm(placed.points_2d[LIMB_ROWS] - joints, axis=1)[seen]
-            agreement = float(fused_agreement(np.array(placed.distance)))
-            features.append((agreement, placed.adjusted_m))
-            right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
-
-    for one in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports people"):
-        middle = one.limbs.mean(axis=0)
-        people = [
-            person
-            for person in estimate(estimator, one.frame)
-            if _holds(person.whole_box, middle) and person.hypotheses
-        ]
-        if people and one.visible.any():
-            largest = max(people, key=lambda other: other.whole_box.area)
-            add(largest, one.limbs, one.visible)
-    folder = shared / "real" / "pennfudan"
-    for street in tqdm(read_street_people(folder, read_pennfudan(folder)), desc="street people"):
-        (person,) = estimate(estimator, street.photograph.frame, street.box)
-        add(person, street.reference.joints_2d, np.ones(len(LIMBS), bool))
-    return features, right
-
-
-def _holds(box: Box, place: NDArray[np.float64]) -> bool:
-    return bool(box.x <= place[0] <= box.right and box.y <= place[1] <= box.bottom)
-
-
-def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> list[float]:
-    """Fit the log odds that a hypothesis is right: weights of the features, and the offset."""
-    model = LogisticRegression(C=100.0).fit(np.array(features), right)
-    return [round(value, 4) for value in (*model.coef_[0].tolist(), float(model.intercept_[0]))]
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Fit all parts, one after the other."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -264,9 +210,3 @@ def main(arguments: Sequence[str] | None = None) -> None:
     data += f", {len(rendered.truths)} of renders"
     document["objects"] = {"command": COMMAND, "data": data, "constants": objects}
     FITTED.write_text(json.dumps(document, indent=1) + "\n")
-    features, right = confidence_samples(estimator, shared)
-    print(
-        f"index/confidence.py: {fit_confidence(features, right)}, fitted to {len(right)} "
-        "hypotheses of people in sport and in the street, "
-        f"{100 * np.mean(right):.0f} % of them right"
-    )
