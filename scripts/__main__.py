@@ -59,6 +59,10 @@ COMMANDS = {
         "scripts.experiments.rendered_people",
         "render the people on whom steps are compared",
     ),
+    "fit-confidence": (
+        "scripts.training.fit_confidence",
+        "fit confidences to rendered people and simulated silhouettes",
+    ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),

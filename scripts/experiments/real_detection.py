@@ -37,7 +37,8 @@ def measure_detection(
     figures = {}
     for name, counted in DETECTORS.items():
         scored = [
-            (boxes, sigmoid(detection_odds(counted * scores))) for boxes, scores in candidates
+            (boxes, sigmoid(detection_odds(scores * np.array(counted))))
+            for boxes, scores in candidates
         ]
         figures[name] = detection_figures(scored, truths)
         figures[name]["milliseconds"] = float(np.median(spent))
