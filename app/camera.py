@@ -394,7 +394,7 @@ class CameraSession:
         fits = [not person.hypotheses and (n > 0 or person.landmarks is None) for person, _ in seen]
         wanted = [person for (person, _), one in zip(seen, fits, strict=True) if one]
         count = max(n, DEFAULT_HYPOTHESES)
-        fitted = iter(self._estimator.fit(wanted, upload.camera, count, job, outlines=n))
+        fitted = iter(self._estimator.fit(wanted, upload.camera, count, job))
         tracked = []
         for (person, track), one in zip(seen, fits, strict=True):
             if one:

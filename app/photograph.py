@@ -164,7 +164,7 @@ class Estimator:
         *,
         shown: bool = False,
     ) -> Estimate:
-        """Find the ``n`` nearest distinct poses of every person; the job is checked between steps.
+        """Find the ``n`` likeliest poses of every person; the job is checked between steps.
 
         Of people whom the service finds, those with the highest scores come first. As the job's
         deadline comes near, the others are left out, with the warning ``crowded``.
@@ -208,11 +208,9 @@ class Estimator:
         camera: PinholeCamera,
         n: int,
         job: Job,
-        outlines: int | None = None,
     ) -> list[Person | None]:
-        """Find the ``n`` nearest distinct poses of people; none without a silhouette.
+        """Find the ``n`` likeliest distinct poses of people; none without a silhouette.
 
-        Only the first ``outlines`` of them, by default all, certainly have an outline distance.
         None stands for people left out.
         """
         with job.stage("describe"):
@@ -221,7 +219,7 @@ class Estimator:
         match = match_nearest if self.method == "paper" else match_silhouette
 
         def fitted(pair: tuple[Person, NormalisedPerson | None]) -> Person:
-            return fit_poses(self.index, *pair, camera, n, outlines, match)
+            return fit_poses(self.index, *pair, camera, n, match)
 
         with job.stage("search"):
             return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
@@ -256,10 +254,9 @@ def fit_poses(
     normalised: NormalisedPerson | None,
     camera: PinholeCamera,
     n: int,
-    outlines: int | None = None,
     match: Callable[..., Match] = match_silhouette,
 ) -> Person:
-    """Find the ``n`` nearest distinct poses of a person; none without a normalised silhouette.
+    """Find the ``n`` likeliest distinct poses of a person; none without a normalised silhouette.
 
     See :meth:`Estimator.fit`. ``match`` is what finds them from a silhouette alone.
     """
@@ -277,7 +274,7 @@ def fit_poses(
             landmarks,
             roll_deg=roll_deg,
             whole=normalised.whole,
-            outlines=n if outlines is None else outlines,
+            reliability=0.5 if person.trust is None else person.trust.right,
         )
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses

@@ -1,8 +1,14 @@
 """The probability that a hypothesis is right.
 
-For a silhouette alone it follows from features of the match, by a calibration that is stored with
-the index (:func:`index.build.calibrate.fit_calibration` fits it). With landmarks it follows from
-distance and adjustment of the hypothesis, by constants fitted to photographs.
+A hypothesis is right if the mean distance of its limb joints from the person's own, in the picture,
+is below :data:`RIGHT_BELOW_PX`. An alternative in depth has the joints of the first hypothesis in
+the picture; it is right if these are and, moreover, its depths are nearer to the truth than those
+of the first.
+
+With landmarks, the probability follows from the reprojection error of the entry and from how far
+the landmarks are likely to be off, by constants fitted to rendered people
+(:mod:`scripts.training.fit_confidence`). For a silhouette alone, it follows from features of the
+match, by a calibration that is stored with the index (:mod:`index.build.calibrate`).
 """
 
 from __future__ import annotations
@@ -14,57 +20,107 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from index.landmarks import DISTANCE_WEIGHT
-
-FEATURES = (
-    "log_distance",
-    "log_distance_over_best",
-    "log_votes",
-    "log_votes_over_most",
-    "log_nearest",
-    "reprojection_error_px",
-    "log_rank",
-    "log_agreement_5px_near",
-    "log_agreement_10px_near",
-    "log_agreement_5px_far",
-    "log_agreement_10px_far",
-)
-"""Features of a hypothesis, computed by :mod:`index.silhouette_matching`:
-
-- logarithm of its descriptor distance, and the same relative to the smallest of all hypotheses;
-- logarithm of its votes, the weighted share of candidates in its mode, and the same relative to the
-  largest of all hypotheses;
-- logarithm of the distance to the nearest candidate;
-- outline distance in pixels;
-- logarithm of its rank;
-- logarithms of the weighted shares of candidates whose mean joint distance from it is below 5 or
-  10 px, with weights that fall off fast (near) or slowly (far) with their descriptor distance.
-"""
-
-RERANKING_FEATURES = (
-    *FEATURES,
-    "log_likelihood",
-    "log_likelihood_below_best",
-    "log_likelihood_below_peak",
-    "log_share",
-    "log_expected_error_px",
-    "log_expected_error_px_squared",
-)
-"""Features of a hypothesis if there is a network: those of the match, and
-
-- the log-likelihood of its joints, and that log-likelihood relative to the likeliest hypothesis and
-  to the likeliest position of each joint by itself;
-- the logarithm of its share of the probability, by its distance relative to the others';
-- the logarithm of its joint error as the network expects it, and the square of that logarithm.
-"""
-
 RIGHT_BELOW_PX = 5.0
-"""Mean joint error in the 128x48 frame below which a hypothesis counts as right."""
+"""Mean distance of the limb joints, in pixels of the normalised frame, below which a hypothesis is
+right."""
+
+
+LANDMARK_FEATURES = ("reprojection_error_px", "fitted_error_px", "reliability", "nearer")
+"""Features of a hypothesis with landmarks, computed by :mod:`index.landmark_matching`:
+
+- its reprojection error, and what is left of it after the fit; an alternative in depth has those of
+  the first hypothesis;
+- probability that the landmarks are right;
+- share of the posterior of the depths that is nearer to an alternative in depth than to the first
+  hypothesis; not a number for others.
+"""
+
+
+@dataclass(frozen=True)
+class ConfidenceModel:
+    """The confidence of hypotheses with landmarks, from :data:`LANDMARK_FEATURES`.
+
+    The mean distance of the limb joints from the true ones has the median ``expected_px``: the
+    root of the sum of squares of what the landmarks err and of shares of both errors. Its logarithm
+    has a logistic distribution.
+    """
+
+    # Median error of landmarks that are as likely to be right as to be wrong.
+    landmarks_px: float
+    # Power of the odds that landmarks are right by which they err less.
+    reliability_power: float
+    # Shares of the reprojection error and of what is left of it after the fit.
+    reprojection_share: float
+    fitted_share: float
+    # Power of the expected error by which the odds that a hypothesis is right fall.
+    sharpness: float
+    # Log odds that an alternative in depth is nearer to the truth than the first hypothesis: an
+    # offset, and the weight of those by the posterior of the depths.
+    depth_offset: float
+    depth_weight: float
+    # Power of the confidences by which hypotheses share the probability of being the nearest.
+    weight_power: float
+
+    def probability(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probabilities ``(N,)`` of hypotheses with features ``(N, 4)``.
+
+        They fall with both errors.
+        """
+        error_px, fitted_px, reliability, nearer = features.T
+        landmarks_px = self.landmarks_px * _odds(reliability) ** -self.reliability_power
+        of_skeleton = np.hypot(self.reprojection_share * error_px, self.fitted_share * fitted_px)
+        expected_px = np.hypot(landmarks_px, of_skeleton)
+        right = 1 / (1 + (expected_px / RIGHT_BELOW_PX) ** self.sharpness)
+        log_odds = self.depth_offset + self.depth_weight * np.log(_odds(nearer))
+        return np.asarray(right * np.where(np.isnan(nearer), 1.0, _sigmoid(log_odds)))
+
+    def weights(self, confidences: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probabilities ``(N,)`` that each hypothesis is the nearest of all, in space."""
+        powers = np.maximum(confidences, 1e-9) ** self.weight_power
+        return powers / powers.sum()
+
+
+# Fitted by `python -m scripts fit-confidence` to the hypotheses of 446 rendered people.
+LANDMARK_CONFIDENCE = ConfidenceModel(
+    landmarks_px=3.303,
+    reliability_power=0.235,
+    reprojection_share=0.443,
+    fitted_share=0.757,
+    sharpness=5.65,
+    depth_offset=-0.582,
+    depth_weight=0.477,
+    weight_power=0.188,
+)
+
+
+FEATURES = ("reprojection_error_px", "log_distance", "log_rank", "log_agreement")
+"""Features of a hypothesis of a silhouette alone, computed by :mod:`index.silhouette_matching`:
+
+- its reprojection error, between the outlines;
+- logarithms of its descriptor distance and of its rank by distance;
+- logarithm of the weighted share of candidates that agree with it: those with a mean joint distance
+  from it below :data:`RIGHT_BELOW_PX`, with weights that fall off with their descriptor distance.
+"""
+
+RERANKING_FEATURES = (*FEATURES, "log_likelihood", "log_expected_error_px")
+"""Features of a hypothesis if there is a network: those above, the log-likelihood of its joints,
+and the logarithm of their error as the network expects it."""
+
+_RISING = ("log_agreement", "log_likelihood")
+"""Features with which a confidence rises; with all others, it falls."""
+
+
+def signs(features: tuple[str, ...]) -> NDArray[np.float64]:
+    """1 for each feature with which a confidence rises, -1 for the others."""
+    return np.where(np.isin(features, _RISING), 1.0, -1.0)
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Logistic model of the probability that a hypothesis is right."""
+    """Logistic model of the probability that a hypothesis is right.
+
+    No weight is against :func:`signs`: the probability falls as the reprojection error grows.
+    """
 
     weights: tuple[float, ...]  # weight of each feature
     bias: float
@@ -75,6 +131,8 @@ class Calibration:
         count = len(self.features)
         if len(self.weights) != count or not np.isfinite((*self.weights, self.bias)).all():
             raise ValueError(f"expected {count} finite weights and a finite bias, got {self}")
+        if (np.array(self.weights) * signs(self.features) < 0).any():
+            raise ValueError(f"expected weights with the signs of their features, got {self}")
 
     @classmethod
     def none(cls, features: tuple[str, ...] = FEATURES) -> Calibration:
@@ -103,30 +161,9 @@ class Calibration:
         return cls(tuple(parameters["weights"]), float(parameters["bias"]), features)
 
 
-# Fitted by `python -m scripts fit-people` to 2212 hypotheses of people in sport and in the street,
-# 55 % of them right.
-_AGREEMENT_WEIGHT, _ADJUSTED_WEIGHT, _OFFSET = 0.2189, 10.8758, 1.7765
-
-
-def fused_confidences(
-    distances: NDArray[np.float64], adjusted_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Probabilities ``(N,)`` of hypotheses that were fitted to landmarks.
-
-    Parameters
-    ----------
-    distances : (N,) float64 array
-        From :func:`index.landmarks.fused_distances`.
-    adjusted_m : (N,) float64 array
-        Mean joint distances by which the fit moved the hypotheses from their entries.
-    """
-    agreement = fused_agreement(distances)
-    return _sigmoid(_AGREEMENT_WEIGHT * agreement + _ADJUSTED_WEIGHT * adjusted_m + _OFFSET)
-
-
-def fused_agreement(distances: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Log likelihoods ``(N,)`` of hypotheses, from distances by silhouette and landmarks."""
-    return -DISTANCE_WEIGHT * np.log(np.maximum(distances, 1e-9))
+def _odds(probabilities: NDArray[np.float64]) -> NDArray[np.float64]:
+    inside = np.clip(probabilities, 1e-3, 1 - 1e-3)
+    return inside / (1 - inside)
 
 
 def _sigmoid(log_odds: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,8 +4,6 @@ A silhouette fits a pose and its reflection in depth equally well, and landmarks
 depth.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,50 +40,28 @@ def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
     """Share of the hypotheses' total confidence that faces the camera; arrays are ``(N,)``."""
-    return float(heading_shares(np.zeros(1), azimuths_deg, confidences)[0])
-
-
-def heading_shares(
-    azimuths_deg: NDArray[np.float64],
-    voters_deg: NDArray[np.float64],
-    confidences: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Share ``(N,)`` of the voters' confidence that lies within a right angle of each heading.
-
-    Seen from the side, a body turned slightly towards the camera and one turned slightly away
-    agree; seen from the front, a body and its reflection in depth do not. The voters are given by
-    the azimuths and confidences ``(M,)`` of the hypotheses that decide.
-    """
     weights = confidences + 1e-9  # Equal weights if all confidences are 0.
-    agree = faces_camera(azimuths_deg[:, None] - voters_deg)
-    return np.clip(agree @ weights / weights.sum(), 0, 1)
+    return float(np.clip(weights[faces_camera(azimuths_deg)].sum() / weights.sum(), 0, 1))
 
 
-def nearest_of_both_facings(
+def likeliest_of_both_facings(
     azimuths_deg: NDArray[np.float64],
-    distances: NDArray[np.float64],
+    confidences: NDArray[np.float64],
     front_probability: float,
-    pools: Sequence[int],
+    count: int,
 ) -> list[int]:
-    """Choose rows of hypotheses, nearest first, with each facing as frequent as it is likely.
+    """Choose ``count`` rows of hypotheses, with each facing as frequent as it is likely.
 
-    The nearest is first. Among the first k, the share that faces the opposite way equals the
-    probability of that facing. It is at least one in :data:`HYPOTHESES_PER_OPPOSITE_FACING`,
-    however far these hypotheses are, as long as there are any.
-
-    For each hypothesis to choose, ``pools`` has the number of leading rows to choose from. The
-    numbers ascend, and each leaves at least one row to choose.
+    The likeliest is among them, and so is one in :data:`HYPOTHESES_PER_OPPOSITE_FACING` that faces
+    the opposite way, however unlikely it is, as long as there are any. Rows come in the order of
+    their confidences.
     """
-    order: list[int] = np.argsort(distances, kind="stable").tolist()
+    order: list[int] = np.argsort(-confidences, kind="stable").tolist()
     front = faces_camera(azimuths_deg)
-    first = next(i for i in order if i < pools[0])
-    opposite = front != front[first]
-    share = 1 - front_probability if front[first] else front_probability
+    opposite = front != front[order[0]]
+    share = 1 - front_probability if front[order[0]] else front_probability
     share = max(share, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
-    chosen = [first]
-    for pool in pools[1:]:
-        near = [i for i in order if i < pool and i not in chosen]
-        others = [i for i in near if opposite[i]]
-        wanted = int(share * (len(chosen) + 1) + 1e-9)  # Seven sevenths are one.
-        chosen.append(others[0] if others and opposite[chosen].sum() < wanted else near[0])
-    return chosen
+    wanted = min(int(share * count + 1e-9), count - 1)  # Seven sevenths are one.
+    away = [row for row in order if opposite[row]][:wanted]
+    others = [row for row in order if row not in away][: max(0, count - len(away))]
+    return [row for row in order if row in away or row in others]

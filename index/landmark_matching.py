@@ -21,14 +21,8 @@ from index.candidates import (
     sample_candidates,
     silhouette_rotations,
 )
-from index.confidence import fused_confidences
-from index.facing import (
-    azimuth_deg,
-    faces_camera,
-    front_share,
-    heading_shares,
-    nearest_of_both_facings,
-)
+from index.confidence import LANDMARK_CONFIDENCE, LANDMARK_FEATURES
+from index.facing import azimuth_deg, faces_camera, front_share, likeliest_of_both_facings
 from index.landmarks import (
     DISTANCE_WEIGHT,
     Agreement,
@@ -45,6 +39,8 @@ from index.matching import (
     PoseHypothesis,
     Query,
     headings,
+    likeliest_first,
+    ranked,
     unlike,
     votes_of,
     with_later_batches,
@@ -53,7 +49,6 @@ from index.modes import Modes, depth_modes, find_modes, likely_weights
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
-    mean_joint_distance,
     moved_in_depth,
 )
 from index.store import PoseIndex
@@ -67,7 +62,7 @@ def match_landmarks(
     *,
     roll_deg: float = 0.0,
     whole: bool = True,
-    outlines: int | None = None,
+    reliability: float = 0.5,
 ) -> Match:
     """Find ``n`` distinct poses that fit a silhouette and landmarks.
 
@@ -81,74 +76,45 @@ def match_landmarks(
     whole : bool
         Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
         candidates, from a sample of the index.
-    outlines : int, optional
-        How many hypotheses, best first, have an outline distance; by default all.
+    reliability : float
+        Probability that the landmarks are right, for the confidences.
     """
-    query = _LandmarkQuery(index, silhouette, roll_deg, landmarks, whole)
+    query = _LandmarkQuery(index, silhouette, roll_deg, landmarks, whole, reliability)
     voters, alternatives = query.first_batch()
     voters_deg, votes = headings(voters), np.array([one.confidence for one in voters])
     front_probability = front_share(voters_deg, votes)
-    first, weighted = _weighted(voters, alternatives, front_probability)
-    found, pools = with_later_batches(query.batch, first, n)
-    best = [1] + [weighted] * (min(DEFAULT_HYPOTHESES, weighted) - 1)
-    pools[: len(best)] = best
-    azimuths = headings(found)
-    # A skeleton is at most as likely to be right as its heading.
-    shares = heading_shares(azimuths, voters_deg, votes)
-    confidences = np.minimum([one.confidence for one in found], shares).tolist()
-    distances = np.array([one.distance for one in found])
-    count = max(n, DEFAULT_HYPOTHESES)
-    chosen = nearest_of_both_facings(azimuths, distances, front_probability, pools[:count])
-    outlined = [found[row] for row in chosen[:outlines]]
-    outline_px = np.full(len(chosen), np.nan)
-    outline_px[: len(outlined)] = query.outline_distances(
-        np.array([one.entry_id for one in outlined], np.int64),
-        np.array([one.mirrored for one in outlined], bool),
-        np.array([one.rotation_deg for one in outlined]) + roll_deg,
-    )
-    ascending = np.maximum.accumulate(distances[chosen])
-    hypotheses = [
-        replace(
-            found[row],
-            distance=distance,
-            confidence=confidences[row],
-            weight=found[row].weight or 0.0,
-            outline_distance_px=pixels,
-        )
-        for row, distance, pixels in zip(
-            chosen, ascending.tolist(), outline_px.tolist(), strict=True
-        )
-    ]
+    first = _first_batch(voters, alternatives, front_probability)
+    found = with_later_batches(query.batch, first, n)
+    hypotheses = ranked(found[: max(n, DEFAULT_HYPOTHESES)])
     return Match(hypotheses, front_probability, voters, votes_of(voters))
 
 
-def _weighted(
-    modes: Sequence[PoseHypothesis],
+def _first_batch(
+    voters: Sequence[PoseHypothesis],
     alternatives: Sequence[PoseHypothesis],
     front_probability: float,
-) -> tuple[list[PoseHypothesis], int]:
-    """Weigh the best mode, its alternatives, and the modes that face the opposite way.
+) -> list[PoseHypothesis]:
+    """The first seven hypotheses and their weights, then the others of the first batch.
 
-    Returns
-    -------
-    hypotheses : list of PoseHypothesis
-        In this order; modes that differ from all of these follow with weight 0.
-    weighted : int
-        Number of hypotheses before those with weight 0.
+    The seven are the best mode, its alternatives in depth and modes that face the opposite way; if
+    these are too few, modes of the same facing as well.
     """
-    front = faces_camera(headings(modes))
-    same = front == front[0]
-    facing, away = (list(compress(modes, rows)) for rows in (same, ~same))
-    share = front_probability if front[0] else 1 - front_probability
-    votes = sum(one.confidence for one in away) + 1e-9
-    shares = [one.weight or 0.0 for one in alternatives]
-    weights = [share * (1 - sum(shares)), *(share * one for one in shares)]
-    weights += [(1 - share) * one.confidence / votes for one in away]
-    weighted = [
-        replace(one, weight=weight)
-        for one, weight in zip([facing[0], *alternatives, *away], weights, strict=True)
+    front = faces_camera(headings(voters))
+    away = [*compress(voters, front != front[0])]
+    leading = [voters[0], *alternatives, *away]
+    others = unlike([*compress(voters[1:], front[1:] == front[0])], leading)
+    leading += others[: max(0, DEFAULT_HYPOTHESES - len(leading))]
+    confidences = np.array([one.confidence for one in leading])
+    rows = likeliest_of_both_facings(
+        headings(leading), confidences, front_probability, DEFAULT_HYPOTHESES
+    )
+    weights = LANDMARK_CONFIDENCE.weights(confidences[rows]).tolist()
+    chosen = [
+        replace(leading[row], weight=weight) for row, weight in zip(rows, weights, strict=True)
     ]
-    return weighted + unlike(facing[1:], weighted), len(weighted)
+    left = [one for row, one in enumerate(leading) if row not in rows]
+    left += others[max(0, DEFAULT_HYPOTHESES - len(leading)) :]
+    return chosen + likeliest_first(left)
 
 
 # Entries nearest to each rotation of the silhouette, and how many of them, those that agree best
@@ -166,62 +132,69 @@ class _LandmarkQuery(Query):
 
     landmarks: NormalisedLandmarks
     whole: bool
+    reliability: float
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
         """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         candidates, _, modes, typical = self._modes(n)
-        modes, distances = self._fitted(candidates, modes, typical)
-        distances = np.maximum(distances, at_least)
-        confidence = _confidences(candidates, modes, distances)
-        return self.hypotheses(candidates, modes, distance=distances, confidence=confidence)
+        modes, columns = self._fitted(candidates, modes, typical)
+        columns["distance"] = np.maximum(columns["distance"], at_least)
+        return self.hypotheses(candidates, modes, **columns)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
-        """Find the first hypotheses, and the best one at other depths; both nearest first."""
+        """Find the first hypotheses, and the best one at other depths; both likeliest first."""
         candidates, agreement, modes, typical = self._modes(DEFAULT_HYPOTHESES)
-        modes, distances = self._fitted(candidates, modes, typical)
+        modes, columns = self._fitted(candidates, modes, typical)
         # Of the hypotheses, one is the mode as found, and one faces the opposite way.
         depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
-        first = modes.take(np.zeros(len(depths.shares), np.int64))
+        first = modes.take(np.zeros(len(depths.nearer), np.int64))
         others = replace(
-            first, votes=depths.shares, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets)
+            first, votes=depths.nearer, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets)
         )
-        confidences = _confidences(candidates, modes, distances)
-        other_distances = distances[0] * np.exp(depths.misfits / DISTANCE_WEIGHT)
-        both = self.hypotheses(
+        features = columns["features"][:1].repeat(len(others), axis=0)
+        features[:, -1] = depths.nearer
+        alternatives = self.hypotheses(
             candidates,
-            modes.append(others),
-            distance=np.concatenate([distances, other_distances]),
-            confidence=np.concatenate([confidences, np.full(len(others), confidences[0])]),
-            weight=np.concatenate([np.zeros(len(modes)), others.votes]),
+            others,
+            distance=columns["distance"][0] * np.exp(depths.misfits / DISTANCE_WEIGHT),
+            in_depth=np.ones(len(others), bool),
+            **_by_features(features),
         )
-        found, alternatives = both[: len(modes)], both[len(modes) :]
-        return found, sorted(alternatives, key=lambda one: one.distance)
+        return self.hypotheses(candidates, modes, **columns), likeliest_first(alternatives)
 
     def _fitted(
         self, candidates: Candidates, modes: Modes, typical: NDArray[np.bool_]
-    ) -> tuple[Modes, NDArray[np.float64]]:
-        """Modes fitted to the landmarks, nearest first, and their distances.
+    ) -> tuple[Modes, dict[str, NDArray[np.float64]]]:
+        """Modes fitted to the landmarks, likeliest first, and other fields of their hypotheses.
 
-        They are compared before the fit: a pose that must change far to fit is less likely. Their
-        centres become the entries that look most like them: of the typical candidates ``(K,)`` that
-        face as they do, the one with the nearest silhouette.
+        The nearest is chosen before the fit: a pose that must change far to fit is less likely. It
+        follows the landmarks, and no other is said to be likelier. Their centres become the entries
+        that look most like them: of the typical candidates ``(K,)`` that face as they do, the one
+        with the nearest silhouette.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
-        _, tilt_deg = self.rotations(candidates.take(modes.centres))
+        entries = candidates.take(modes.centres)
+        _, tilt_deg = self.rotations(entries)
         distances = fused_distances(modes.distances, agreement, tilt_deg)
-        nearest = np.argsort(distances, kind="stable")
-        modes = modes.take(nearest)
+        order = np.argsort(distances, kind="stable")
+        modes = modes.take(order)
         points_3d, placed = fit_to_landmarks(
             self.landmarks, modes.points_3d, modes.points_normalised
         )
+        features = np.full((len(modes), len(LANDMARK_FEATURES)), np.nan)
+        features[:, 0] = self.landmarks.reprojection_errors(entries.points_normalised[order])
+        features[:, 1] = self.landmarks.reprojection_errors(placed)
+        features[:, 2] = self.reliability
+        columns = {"distance": distances[order], **_by_features(features)}
+        columns["confidence"] = np.minimum(columns["confidence"], columns["confidence"][0])
         facing, front = (
             faces_camera(azimuth_deg(one)) for one in (candidates.points_3d, points_3d)
         )
-        like = ((facing == front[:, None]) + 2 * typical).argmax(
-            axis=1
-        )  # The first is the nearest.
+        # The first is the nearest.
+        like = ((facing == front[:, None]) + 2 * typical).argmax(axis=1)
         modes = replace(modes, centres=like, points_3d=points_3d, points_normalised=placed)
-        return modes, distances[nearest]
+        order = np.argsort(-columns["confidence"], kind="stable")
+        return modes.take(order), {name: one[order] for name, one in columns.items()}
 
     def _modes(self, n: int) -> tuple[Candidates, Agreement, Modes, NDArray[np.bool_]]:
         """Modes of the candidates that agree best with the landmarks, and these candidates.
@@ -267,12 +240,14 @@ class _LandmarkQuery(Query):
         return candidates.take(kept), agreement.take(kept), weights[kept], typical[kept]
 
 
-def _confidences(
-    candidates: Candidates, modes: Modes, distances: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Confidences ``(M,)`` of modes fitted to landmarks, at their distances."""
-    adjusted_m = mean_joint_distance(modes.points_3d, candidates.points_3d[modes.centres])
-    return fused_confidences(distances, adjusted_m)
+def _by_features(features: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """Fields of hypotheses with :data:`index.confidence.LANDMARK_FEATURES` ``(M, 4)``."""
+    return {
+        "features": features,
+        "confidence": LANDMARK_CONFIDENCE.probability(features),
+        "reprojection_error_px": features[:, 0],
+        "weight": np.zeros(len(features)),
+    }
 
 
 def _trunk_tilt_deg(limbs_3d: NDArray[np.float64]) -> float:

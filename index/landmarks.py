@@ -104,6 +104,11 @@ class NormalisedLandmarks:
             _inlier_share(mass[each, likelier])[..., None] * offsets[each, likelier],
         )
 
+    def reprojection_errors(self, points_normalised: NDArray[np.floating]) -> NDArray[np.float64]:
+        """Mean distances ``(K,)`` of skeletons ``(K, 24, 2)`` from the landmarks, in pixels."""
+        offsets = self.positions - points_normalised[:, list(self.rows)]
+        return np.asarray(np.linalg.norm(offsets, axis=-1).mean(axis=-1))
+
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
         """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
 

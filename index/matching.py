@@ -7,7 +7,7 @@ them from a silhouette alone, :mod:`index.landmark_matching` from a silhouette a
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -69,8 +69,7 @@ class PoseHypothesis:
         Euclidean distance from the query's descriptor to the interpolated descriptor of the
         entries that agree on this pose.
     confidence : float
-        Probability that the mean joint error in the normalised frame is below 5 px; see
-        :mod:`index.confidence`.
+        Probability that the hypothesis is right; see :mod:`index.confidence`.
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array
@@ -90,15 +89,20 @@ class PoseHypothesis:
     weight : float or None
         Probability that this hypothesis is nearer to the truth than all others of the first
         :data:`DEFAULT_HYPOTHESES`; 0 for later ones, None without landmarks.
-    outline_distance_px : float
-        Mean distance between the outlines of the query and of the entry, averaged both ways, in
-        pixels of the normalised frame; not a number where it is not asked for.
+    reprojection_error_px : float
+        Mean distance, in pixels of the normalised frame, between the entry at the centre of the
+        entries that agree on this pose, scaled and placed on the person, and what was observed:
+        from its points to their landmarks or, without landmarks, between the outlines, averaged
+        both ways.
+    in_depth : bool
+        Whether this is the first hypothesis at other depths.
     twin : bool
         Whether this is the first hypothesis seen from behind: depth reversed, left and right
         exchanged. Its outline is the same; all fields about the entry are the first hypothesis's.
     features : (F,) float64 array
-        Input of the confidence without landmarks: :data:`index.confidence.FEATURES`, or
-        :data:`index.confidence.RERANKING_FEATURES`; none with landmarks.
+        What the confidence follows from: :data:`index.confidence.LANDMARK_FEATURES` or, without
+        landmarks, :data:`index.confidence.FEATURES`, with a network
+        :data:`index.confidence.RERANKING_FEATURES`.
     """
 
     entry_id: int
@@ -113,7 +117,8 @@ class PoseHypothesis:
     distance: float = 0.0
     adjusted_m: float = 0.0
     weight: float | None = None
-    outline_distance_px: float = math.nan
+    reprojection_error_px: float = math.nan
+    in_depth: bool = False
     twin: bool = False
     features: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
 
@@ -132,10 +137,9 @@ class Match:
     Parameters
     ----------
     hypotheses : list of PoseHypothesis
-        With ascending distances. The first ``k`` do not depend on how many were requested. At least
-        :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit. With landmarks, some face
-        the opposite way to the first; a nearer hypothesis that follows such a hypothesis gets the
-        distance of that hypothesis.
+        The likeliest first; see :func:`ranked`. The first ``k`` do not depend on how many were
+        requested. At least :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit. With
+        landmarks, some of the first seven face the opposite way to the first.
     front_probability : float
         Probability that the camera sees the person from the front: the confidence of voters that
         face it, as a share of the confidence of all. It does not depend on how many were requested.
@@ -228,33 +232,41 @@ class Query:
 
 def with_later_batches(
     batch: Callable[[int, float], list[PoseHypothesis]], first: list[PoseHypothesis], n: int
-) -> tuple[list[PoseHypothesis], list[int]]:
-    """The first batch and as many later ones as ``n`` hypotheses need.
+) -> list[PoseHypothesis]:
+    """The first batch, and the new poses of as many later ones as ``n`` hypotheses need.
 
     Parameters
     ----------
     batch : callable
-        Finds about as many hypotheses as its first argument says, nearest first; no distance is
-        smaller than its second argument, that of the last hypothesis of earlier batches.
-
-    Returns
-    -------
-    hypotheses : list of PoseHypothesis
-        Those of the first batch, then new poses.
-    pools : list of int
-        For each rank, the number of hypotheses found for a request of that many.
+        Finds about as many hypotheses as its first argument says; no distance is smaller than its
+        second argument, the largest of earlier batches.
     """
     found, size = first, DEFAULT_HYPOTHESES
-    pools = [len(found)] * min(size, len(found))
     while len(found) < n or size < n:
         size *= 2
-        later = batch(size, found[-1].distance)
-        new = unlike(later, found)
+        new = unlike(batch(size, max(one.distance for one in found)), found)
         if not new and size >= _MAX_BATCH_GROWTH * n:
             break
-        found = found + new
-        pools += [len(found)] * (min(size, len(found)) - len(pools))
-    return found, pools
+        found = found + likeliest_first(new)
+    return found
+
+
+def likeliest_first(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
+    """Hypotheses in the order of their confidences, the nearer first if they are equal."""
+    return sorted(hypotheses, key=lambda one: (-one.confidence, one.distance))
+
+
+def ranked(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
+    """The same hypotheses, none with a higher confidence or a smaller distance than those before.
+
+    Batches are ordered one by one: this concerns the nearer ones of later batches, and distances.
+    """
+    distances = np.maximum.accumulate([one.distance for one in hypotheses]).tolist()
+    confidences = np.minimum.accumulate([one.confidence for one in hypotheses]).tolist()
+    return [
+        replace(one, distance=distance, confidence=confidence)
+        for one, distance, confidence in zip(hypotheses, distances, confidences, strict=True)
+    ]
 
 
 def unlike(

@@ -167,14 +167,14 @@ class DepthModes:
     ----------
     offsets : (M, 12) float64 array
         Depths of the limbs behind the landmarks, metres.
-    shares : (M,) float64 array
-        Share of the posterior that is nearer to each than to the others and to the landmarks.
+    nearer : (M,) float64 array
+        Share of the posterior that is nearer to each than to the depths of the landmarks.
     misfits : (M,) float64 array
         Negative log likelihood of the landmarks, relative to that at their own depths.
     """
 
     offsets: NDArray[np.float64]
-    shares: NDArray[np.float64]
+    nearer: NDArray[np.float64]
     misfits: NDArray[np.float64]
 
 
@@ -209,11 +209,11 @@ def depth_modes(
     likely = np.argsort(-shares, kind="stable")[:_POSTERIOR_DRAWS]
     truths, shares = truths[likely], shares[likely] / shares[likely].sum()
     modes = spread_modes(truths, shares, count)
-    nearest = _depth_distances(truths, modes).argmin(axis=1)
-    cells = np.asarray(np.bincount(nearest, shares, len(modes)), np.float64)
+    distances = _depth_distances(truths, modes)
+    nearer = shares @ (distances[:, 1:] < distances[:, :1])
     offsets = modes[1:]
     misfits = ((offsets @ np.linalg.inv(errors)) * offsets).sum(axis=1) / 2
-    return DepthModes(offsets, cells[1:], misfits)
+    return DepthModes(offsets, nearer, misfits)
 
 
 def spread_modes(

@@ -22,9 +22,6 @@ from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 (_PELVIS,) = rows("pelvis")
 (_HEAD,) = rows("head")
 
-# Hypotheses share the probability by the inverse of their distances to this power.
-_SHARE_POWER = 4.0
-
 
 @dataclass(frozen=True)
 class DistanceRanking:
@@ -53,11 +50,9 @@ class DistanceRanking:
         nearest = np.argsort(distances, kind="stable")[:n]
         return modes.take(nearest), distances[nearest]
 
-    def features(
-        self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Features ``(M, F)`` of modes for the calibration, from plain ones ``(M, 11)``."""
-        return plain
+    def features(self, modes: Modes) -> tuple[NDArray[np.float64], ...]:
+        """Further features of modes for the calibration, ``(M,)`` each."""
+        return ()
 
     def postures(self, votes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
         """Shares ``(10,)`` of ``POSTURES``, from those among hypotheses.
@@ -125,26 +120,11 @@ class NetworkRanking(DistanceRanking):
         lacking = likelihood.max() - likelihood
         return modes.distances * np.exp(self.model.order_weight * lacking)
 
-    def features(
-        self, plain: NDArray[np.float64], modes: Modes, distances: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """:data:`index.confidence.RERANKING_FEATURES` ``(M, F)``, the plain ones first."""
+    def features(self, modes: Modes) -> tuple[NDArray[np.float64], ...]:
+        """Those that :data:`index.confidence.RERANKING_FEATURES` has beside the plain ones."""
         positions = joint_positions(modes.points_3d, modes.points_normalised)
         likelihood = self.joints.log_likelihood(positions)
-        error = np.log(self.joints.expected_errors(positions))
-        odds = -_SHARE_POWER * np.log(distances + 1e-6)
-        odds -= odds.max()
-        return np.column_stack(
-            [
-                plain,
-                likelihood,
-                likelihood - likelihood.max(),
-                likelihood - self.joints.peak(),
-                odds - np.log(np.exp(odds).sum()),
-                error,
-                error**2,
-            ]
-        )
+        return likelihood, np.log(self.joints.expected_errors(positions))
 
     def postures(self, votes: NDArray[np.float64], roll_deg: float) -> NDArray[np.float64]:
         """Probabilities ``(10,)`` of ``POSTURES``, if there is a network that reads them."""

@@ -1,7 +1,8 @@
 """From a silhouette alone to distinct poses in the order of their rank.
 
-Modes of the entries nearest to the silhouette are ordered by their distances. If the index has a
-network, the likelihood that it gives to their joints counts as well. The confidence is calibrated.
+Modes of the entries nearest to the silhouette are chosen by their distances. If the index has a
+network, the likelihood that it gives to their joints counts as well. They come in the order of
+their confidences.
 """
 
 from dataclasses import replace
@@ -22,6 +23,8 @@ from index.matching import (
     PoseHypothesis,
     Query,
     headings,
+    likeliest_first,
+    ranked,
     votes_of,
     with_later_batches,
 )
@@ -45,10 +48,10 @@ def match_silhouette(
     """
     query = _SilhouetteQuery(index, silhouette, roll_deg)
     voters, first = query.first_batch()
-    found, _ = with_later_batches(query.batch, first, n)
+    found = with_later_batches(query.batch, first, n)
     votes = np.array([one.confidence for one in voters])
     return Match(
-        found[: max(n, DEFAULT_HYPOTHESES)],
+        ranked(found[: max(n, DEFAULT_HYPOTHESES)]),
         front_share(headings(voters), votes),
         voters,
         query.ranking.postures(votes_of(voters), roll_deg),
@@ -70,41 +73,40 @@ class _SilhouetteQuery(Query):
         return self._at_modes(*self._modes(n), at_least)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
-        """Find the first hypotheses, and the hypotheses to return.
+        """Find the first hypotheses, and the hypotheses to return; both likeliest first.
 
         An outline cannot exclude the best pose seen from behind, its twin. The twin takes the place
-        of the last hypothesis, unless another one is as near to it as a right one would be.
+        of the last hypothesis, which follows, unless another is as near to it as a right one.
         """
         candidates, modes, distances = self._modes(DEFAULT_HYPOTHESES)
-        voters = self._at_modes(candidates, modes, distances)[:DEFAULT_HYPOTHESES]
-        best, others = voters[0], modes.take(slice(DEFAULT_HYPOTHESES - 1))
-        twin = replace(
-            modes.take([0]),
-            points_3d=reversed_in_depth(modes.points_3d[:1]),
-            points_normalised=exchange_sides(modes.points_normalised[:1]),
-        )
-        apart = mean_joint_distance(others.points_normalised, twin.points_normalised)
+        modes, distances = modes.take(slice(DEFAULT_HYPOTHESES)), distances[:DEFAULT_HYPOTHESES]
+        found = self._at_modes(candidates, modes, distances)
+        voters = likeliest_first(found)
+        best, others = voters[0], voters[: DEFAULT_HYPOTHESES - 1]
+        turned = exchange_sides(best.points_normalised)
+        apart = mean_joint_distance(np.array([one.points_normalised for one in others]), turned)
         if apart.min() < RIGHT_BELOW_PX:
             return voters, voters
-        shown = others.append(twin)
-        distances = self.ranking.distances(shown)
-        outline_px = np.array([one.outline_distance_px for one in [*voters[: len(others)], best]])
-        features = self.ranking.features(
-            _features(candidates, shown, outline_px), shown, distances
-        )[-1]
-        returned = voters[: len(others)]
-        returned.append(
-            replace(
-                best,
-                points_3d=reversed_in_depth(best.points_3d),
-                points_normalised=twin.points_normalised[0],
-                distance=max(returned[-1].distance, float(distances[-1])),
-                confidence=float(self.ranking.calibration.probability(features)),
-                twin=True,
-                features=features,
-            )
+        row = next(row for row, one in enumerate(found) if one is best)
+        mode = modes.take([row])
+        twin = replace(
+            mode,
+            points_3d=reversed_in_depth(mode.points_3d),
+            points_normalised=turned[None],
         )
-        return voters, returned
+        features = self._features(
+            candidates, twin, np.array([best.reprojection_error_px]), np.array([row + 1])
+        )[0]
+        shown = replace(
+            best,
+            points_3d=reversed_in_depth(best.points_3d),
+            points_normalised=turned,
+            distance=max(best.distance, float(self.ranking.distances(modes.append(twin))[-1])),
+            confidence=min(best.confidence, float(self.ranking.calibration.probability(features))),
+            twin=True,
+            features=features,
+        )
+        return voters, [*likeliest_first([*others, shown]), *voters[len(others) :]]
 
     def _at_modes(
         self,
@@ -118,15 +120,35 @@ class _SilhouetteQuery(Query):
         outline_px = self.outline_distances(
             entries.entry_ids, entries.mirrored, entries.rotation_deg
         )
-        features = self.ranking.features(_features(candidates, modes, outline_px), modes, distances)
+        ranks = np.arange(1, len(modes) + 1)
+        features = self._features(candidates, modes, outline_px, ranks)
         return self.hypotheses(
             candidates,
             modes,
             distance=np.maximum(distances, at_least),
             confidence=self.ranking.calibration.probability(features),
-            outline_distance_px=outline_px,
+            reprojection_error_px=outline_px,
             features=features,
         )
+
+    def _features(
+        self,
+        candidates: Candidates,
+        modes: Modes,
+        outline_px: NDArray[np.float64],
+        ranks: NDArray[np.integer],
+    ) -> NDArray[np.float64]:
+        """:data:`index.confidence.FEATURES` ``(M, F)`` of modes, or those with the network.
+
+        ``outline_px`` ``(M,)`` are the outline distances between the query and their centres.
+        """
+        plain = (
+            outline_px,
+            np.log(modes.distances + 1e-6),
+            np.log(ranks),
+            np.log(_agreement(candidates, modes) + 1e-3),
+        )
+        return np.column_stack([*plain, *self.ranking.features(modes)])
 
     def _modes(self, n: int) -> tuple[Candidates, Modes, NDArray[np.float64]]:
         """About ``n`` modes, nearest first, with their distances, and their candidates.
@@ -147,41 +169,14 @@ class _SilhouetteQuery(Query):
             k *= 2
 
 
-# Mean joint distances below which a candidate agrees with a mode.
-_AGREEMENT_PX = (RIGHT_BELOW_PX, 2 * RIGHT_BELOW_PX)
-# Fall-offs of the candidates' weights, as in :func:`index.modes.candidate_weights`.
-_AGREEMENT_FALL_OFFS = (0.15, 0.5)
+# Fall-off of the candidates' weights, as in :func:`index.modes.candidate_weights`.
+_AGREEMENT_FALL_OFF = 0.15
 
 
-def _features(
-    candidates: Candidates, modes: Modes, outline_px: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """:data:`index.confidence.FEATURES` ``(M, F)`` of modes of the candidates, ordered by rank.
+def _agreement(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
+    """Weighted shares ``(M,)`` of the candidates that agree with each mode.
 
-    ``outline_px`` ``(M,)`` are the outline distances between the query and their centres.
-    """
-    distances, votes = np.log(modes.distances + 1e-6), np.log(modes.votes + 1e-6)
-    nearest = np.full(len(modes), np.log(candidates.distances[0] + 1e-6))
-    return np.stack(
-        [
-            distances,
-            distances - distances.min(),
-            votes,
-            votes - votes.max(),
-            nearest,
-            outline_px,
-            np.log(np.arange(1, len(modes) + 1)),
-            *np.log(_agreements(candidates, modes) + 1e-3),
-        ],
-        axis=-1,
-    )
-
-
-def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
-    """Weighted shares ``(4, M)`` of the candidates that agree with each mode.
-
-    The share of candidates that agree with a hypothesis predicts better than its own fit whether
-    the hypothesis is right.
+    They predict better than the fit of a hypothesis whether it is right.
     """
     mode_joints = modes.points_normalised[:, :JOINTS]
     joints = candidates.points_normalised[:, :JOINTS]
@@ -190,6 +185,5 @@ def _agreements(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
     squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
     errors = np.sqrt(squares).sum(axis=1) / JOINTS
-    agree = [(errors < px).astype(np.float64) for px in _AGREEMENT_PX]
-    weights = [candidate_weights(candidates.distances, f) for f in _AGREEMENT_FALL_OFFS]
-    return np.stack([a @ w / w.sum() for w in weights for a in agree])
+    weights = candidate_weights(candidates.distances, _AGREEMENT_FALL_OFF)
+    return np.asarray((errors < RIGHT_BELOW_PX) @ weights / weights.sum())

@@ -45,7 +45,7 @@ COMMANDS = {
     ),
     "fit-people": (
         "scripts.training.fit_people",
-        "fit detection scores and confidence to photographs",
+        "fit detection scores to the street video and rendered photographs",
     ),
     "fit-paper": (
         "scripts.training.fit_paper",
@@ -58,6 +58,10 @@ COMMANDS = {
     "render-held-out": (
         "scripts.experiments.rendered_people",
         "render the people on whom steps are compared",
+    ),
+    "fit-confidence": (
+        "scripts.training.fit_confidence",
+        "fit confidences to rendered people and simulated silhouettes",
     ),
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),

@@ -116,7 +116,7 @@ def describe(number: int, person: Person) -> str:
     for rank, one in enumerate(person.hypotheses, start=1):
         lines.append(
             f"  {rank:4d}  {one.entry_id:6d}  {one.silhouette_distance:8.2f}  {one.distance:5.2f}  "
-            f"{one.outline_distance_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
+            f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
             f"{one.confidence:10.2f}  {one.label.clip}, frame {one.label.frame}"
         )
     return "\n".join(lines)

@@ -4,6 +4,7 @@
     python -m scripts evaluate stages       what each step adds, from the paper's path on
     python -m scripts evaluate simulation   bodies, clips and views that the index never saw
     python -m scripts evaluate real         photographs and videos of ../shared/real
+    python -m scripts evaluate confidence   how often hypotheses are right that are said to be
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate films        all real films as camera sessions: falls, false alarms
@@ -29,6 +30,7 @@ EXPERIMENTS = {
     "stages": "stages",
     "simulation": "simulation",
     "real": "real",
+    "confidence": "confidence",
     "people": "people",
     "photographs": "photographs",
     "films": "films",

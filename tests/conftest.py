@@ -30,7 +30,7 @@ from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
 from index.artefact import load_index
 from index.build.writer import compress, save_index
-from index.confidence import FEATURES, Calibration
+from index.confidence import FEATURES, Calibration, signs
 from index.search import ExactNeighbours
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
@@ -53,7 +53,7 @@ WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 """A street with three walkers and two distant people."""
 
 CAMERA_DISTANCE_M = 4.0
-CALIBRATION = Calibration(tuple(0.3 if name == "log_votes" else -0.3 for name in FEATURES), 1.0)
+CALIBRATION = Calibration(tuple((0.3 * signs(FEATURES)).tolist()), 1.0)
 """Higher where a hypothesis is near, fits well and has many votes."""
 
 

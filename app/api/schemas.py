@@ -322,9 +322,8 @@ class Posture(Model):
         examples=["walking"],
     )
     probability: Probability = Field(
-        description="Calibrated probability that the posture is of the label's group: upright "
-        "(standing, walking, running and arms raised), bending, crouching or kneeling, sitting, on "
-        "the ground (lying and crawling). For `unclear`, that of the likeliest group.",
+        description="Probability that the label is right; for `unclear`, that of the likeliest "
+        "posture.",
         examples=[0.88],
     )
 
@@ -352,8 +351,8 @@ class HypothesisSource(MotionSource):
         default=False,
         description="Whether the hypothesis is the twin of the first one: its depths are reversed, "
         "and left and right are exchanged. An outline cannot distinguish the two, so of a "
-        "silhouette alone the twin is the seventh, unless one of the first six is as near to it "
-        "as a right hypothesis. It does not count for `posture` and `facing`; its `camera`, "
+        "silhouette alone the twin is among the first seven, unless another is as near to it as "
+        "a right hypothesis. It does not count for `posture` and `facing`; its `camera`, "
         "`posture` and distances are those of the first.",
         examples=[False],
     )
@@ -399,22 +398,30 @@ class Hypothesis(Model):
     )
     reprojection_error_px: FiniteFloat = Field(
         ge=0,
-        description="Mean distance between the outlines of the person's silhouette and of the "
-        "entry's, both ways, in pixels of the normalised 128x48 frame. It measures outlines, not "
-        "joints.",
+        description="Mean distance, in pixels of the normalised 128x48 frame, between the recorded "
+        "skeleton from which the hypothesis was made, scaled and placed on the person before it "
+        "is fitted, and what was observed: from its joints to the keypoints in the photograph "
+        "or, without these (`facing.evidence` is `none`), between both outlines.",
         examples=[1.8],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that the mean joint error in the image is under 5 px "
-        "of the normalised 128x48 frame. Keypoints read from the photograph are taken into "
-        "account.",
+        description="Calibrated probability that the hypothesis is right: that the mean distance "
+        "of its limb joints (shoulders, elbows, wrists, hips, knees, ankles) from the person's "
+        "own, in the image, is under 5 px of the normalised 128x48 frame and, for an alternative "
+        "in depth, that its depths are moreover nearer to the truth than those of the first "
+        "hypothesis. It falls as the reprojection error grows, and never rises with the rank.",
         examples=[0.87],
+    )
+    alternative: Literal["depth"] | None = Field(
+        default=None,
+        description="`depth` if this is the first hypothesis at other depths: the same joints in "
+        "the image. Otherwise null.",
+        examples=["depth"],
     )
     weight: Probability | None = Field(
         description="Probability that this skeleton is nearer to the truth, in three dimensions, "
-        "than the others of the first seven. These differ mostly in depth, which is uncertain in a "
-        "photograph. The weights of all sum to at most 1; they are 0 from the eighth on, and null "
-        "if `facing.evidence` is `none`.",
+        "than the others of the first seven. It never rises with the rank, is 0 from the eighth "
+        "on, and null if `facing.evidence` is `none`.",
         examples=[0.22],
     )
     adjusted_mm: FiniteFloat = Field(
@@ -490,7 +497,8 @@ class Person(Model):
         "given, and without a silhouette."
     )
     hypotheses: list[Hypothesis] = Field(
-        description="Distinct poses, the best first: near-duplicates are listed once."
+        description="Distinct poses, the likeliest first: near entries that agree on a pose count "
+        "once. Alternatives in depth (`alternative`) have the joints of the first in the image."
     )
 
 

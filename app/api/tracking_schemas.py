@@ -149,8 +149,8 @@ class SmoothedPose(Model):
         examples=[20117],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that the mean joint error in the image is under 5 px "
-        "of the normalised 128x48 frame.",
+        description="Calibrated probability that the mean distance of the limb joints from the "
+        "person's own, in the image, is under 5 px of the normalised 128x48 frame.",
         examples=[0.91],
     )
     joints_3d: list[Point3D | None] | None = Field(

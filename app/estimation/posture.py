@@ -17,19 +17,15 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName
+from index.posture import POSTURES, UPRIGHT, PostureName
 
-GROUPS: tuple[tuple[PostureName, ...], ...] = (
-    UPRIGHT,
-    ("bending",),
-    ("crouching", "kneeling"),
-    ("sitting",),
-    ON_THE_GROUND,
-)
-"""Postures that an image or a silhouette distinguishes."""
-
-_MEMBERS = [np.isin(POSTURES, members) for members in GROUPS]
-_HELD = [np.isin(POSTURES, members) for members in (*GROUPS[:-1], ("crawling",), ("lying",))]
+_UPRIGHT = np.isin(POSTURES, UPRIGHT)
+_HELD = [
+    np.isin(POSTURES, members)
+    for members in (
+        UPRIGHT, ("bending",), ("crouching", "kneeling"), ("sitting",), ("crawling",), ("lying",),
+    )
+]  # fmt: skip
 """For each of :data:`app.vision.judgement.FRAME_POSTURES`, the ``POSTURES`` it includes."""
 
 MIN_PROBABILITY = 0.5
@@ -50,7 +46,7 @@ PostureLabel = PostureName | Literal["unclear"]
 class EstimatedPosture:
     """Share ``(10,)`` of each of ``POSTURES`` of a person, summing to 1, and the likeliest posture.
 
-    The probability is calibrated; the label is ``unclear`` if it is too small.
+    The probability is that of the label, which is ``unclear`` if it is too small.
     """
 
     label: PostureLabel
@@ -66,9 +62,8 @@ def with_upright_votes(
     shares: NDArray[np.float64], votes: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Shares ``(10,)`` of a silhouette, with the upright share split by other votes ``(10,)``."""
-    members = _MEMBERS[GROUPS.index(UPRIGHT)]
-    within = np.where(members, votes + _MIN_VOTE, 0.0)
-    return np.where(members, shares[members].sum() * within / within.sum(), shares)
+    within = np.where(_UPRIGHT, votes + _MIN_VOTE, 0.0)
+    return np.where(_UPRIGHT, shares[_UPRIGHT].sum() * within / within.sum(), shares)
 
 
 def as_standing(shares: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -104,15 +99,12 @@ def likeliest_posture(
     ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
     hypothesis.
 
-    The probability is that of its group in :data:`GROUPS`, because an image shows the group more
-    surely than standing or walking, lying or crawling. If no hypothesis fits, votes and landmarks
-    are doubtful as well, so the confidence of the best hypothesis limits the probability.
+    If no hypothesis fits, votes and landmarks are doubtful as well, so the confidence of the best
+    hypothesis limits the probability.
     """
-    sums = [float(shares[members].sum()) for members in _MEMBERS]
-    best_group = int(np.argmax(sums))
-    best = int(np.where(_MEMBERS[best_group], shares, -1.0).argmax())
+    best = int(shares.argmax())
     limit = MIN_PROBABILITY + _CONFIDENCE_SLOPE * confidence
-    probability = min(presence * sums[best_group], limit)
+    probability = min(presence * float(shares[best]), limit)
     label = POSTURES[best] if probability >= MIN_PROBABILITY else "unclear"
     return EstimatedPosture(label, probability, shares)
 

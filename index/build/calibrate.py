@@ -7,18 +7,18 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.linear_model import LogisticRegression
+from scipy.optimize import minimize
 from tqdm import tqdm
 
 from index.build.descriptor_learning import view_joints
 from index.build.noise import degrade_all
 from index.build.simulate import Simulation
 from index.build.views import MAX_OWN_ROLL_DEG
-from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration
+from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration, signs
 from index.matching import DEFAULT_HYPOTHESES, votes_of
 from index.posture import POSTURES
 from index.silhouette_matching import match_silhouette
-from index.skeleton import JOINTS, exchange_sides, rotate_clockwise
+from index.skeleton import JOINTS, LIMB_ROWS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
 
 log = logging.getLogger(__name__)
@@ -112,8 +112,8 @@ class Trial:
 
     @property
     def right(self) -> NDArray[np.bool_]:
-        """Which hypotheses are right ``(Q, N)``."""
-        return self.error_px < RIGHT_BELOW_PX
+        """Which hypotheses are right ``(Q, N)``, by their limb joints."""
+        return self.joint_errors_px[..., LIMB_ROWS].mean(axis=-1) < RIGHT_BELOW_PX
 
 
 def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES) -> Trial:
@@ -141,14 +141,33 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
     return Trial(features, confidence, joint_errors_px, twin_error_px, error_m, votes, postures)
 
 
+_RIDGE = 1e-3  # Keeps weights finite where all hypotheses are right, or none.
+
+
 def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calibration:
-    """Logistic regression of the correctness of hypotheses on their features."""
+    """Logistic regression of the correctness of hypotheses on their features.
+
+    No weight is against :func:`index.confidence.signs`.
+    """
     offered = np.isfinite(trial.error_px)
-    # Converged fully: where the default stops depends on the last digits of the features.
-    model = LogisticRegression(C=1e3, solver="newton-cholesky", tol=1e-8)
-    model.fit(trial.features[offered], trial.right[offered])
-    weights = tuple(float(w) for w in model.coef_[0])
-    return Calibration(weights, float(model.intercept_[0]), features)
+    rows = trial.features[offered]
+    sides = np.where(trial.right[offered], 1.0, -1.0)
+    middle, scale = rows.mean(axis=0), rows.std(axis=0) + 1e-9
+    inputs = np.column_stack([(rows - middle) / scale, np.ones(len(rows))])
+
+    def loss(weights: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        margins = sides * (inputs @ weights)
+        pull = sides / (1 + np.exp(np.minimum(margins, 30)))
+        value = np.logaddexp(0, -margins).sum() + _RIDGE * (weights[:-1] ** 2).sum()
+        return float(value), 2 * _RIDGE * np.append(weights[:-1], 0) - pull @ inputs
+
+    bounds = [(0, None) if sign > 0 else (None, 0) for sign in signs(features)]
+    found = minimize(
+        loss, np.zeros(inputs.shape[1]), jac=True, bounds=[*bounds, (None, None)], tol=1e-10
+    ).x
+    weights = found[:-1] / scale
+    bias = float(found[-1] - weights @ middle)
+    return Calibration(tuple(weights.round(4).tolist()), round(bias, 4), features)
 
 
 def calibrate(

@@ -1,8 +1,7 @@
 """The people experiment: sport, falls, leaning bodies, cameras. Answers must be right, or unclear.
 
 Asks the estimator and camera sessions in this process about ``../shared/real``. Detection scores
-and confidence were fitted to the sports photographs and the street video, among others; nothing was
-fitted to the fall photographs, UP-Fall, the fall videos and Pose2Sim.
+were fitted to frames of the street video; nothing was fitted to the others.
 """
 
 import argparse

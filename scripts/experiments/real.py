@@ -1,7 +1,7 @@
 """The real experiment: street photographs and videos of ``../shared/real``.
 
-The detector's weights are cross-validated by photograph. Settings of silhouettes and poses were
-tuned on even-numbered photographs, so that the odd ones, always shown beside all, are their test.
+Settings of silhouettes and poses were chosen with a look at even-numbered photographs, so that the
+odd ones, always shown beside all, are their test. The detector is fitted to none of them.
 The references of poses are MediaPipe's (street people) and a multi-view triangulation
 (``pose2sim``): something to compare with, not ground truth.
 """
@@ -21,30 +21,19 @@ from app.settings import Settings
 from app.vision.detector import MIN_DETECTION_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from index import DEFAULT_PATH
-from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
-    POSE2SIM_CAMERAS,
     Marks,
     Photograph,
     as_array,
     read_marks,
     read_pennfudan,
-    read_pose2sim,
-    read_street_people,
     read_vtest,
 )
 from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
-    LIMBS_RIGHT_BELOW_PX,
-    PAPER,
-    Trial,
-    cross_validated,
     cut_out,
-    in_photographs,
-    in_video,
-    trials_of,
 )
-from scripts.metrics import FOUND_FROM, mask_iou, reliability, true_positives
+from scripts.metrics import FOUND_FROM, mask_iou, true_positives
 
 STEP = 4
 """Every so many-th frame of Pose2Sim is asked: neighbours are alike."""
@@ -70,15 +59,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     detector = estimator.models.detector
     folder = options.shared / "real"
     photographs = read_pennfudan(folder / "pennfudan")
-    people = read_street_people(folder / "pennfudan", photographs)
-    shown = in_photographs(people, estimator)
-    own = cross_validated(trials_of(shown, estimator))
-    videos = [
-        trial
-        for camera in POSE2SIM_CAMERAS
-        for frames in [read_pose2sim(folder / "pose2sim", camera, STEP)]
-        for trial in trials_of(in_video(frames, estimator), estimator)
-    ]
     frames = read_vtest(folder / "vtest")
     return {
         "detection": {
@@ -90,23 +70,6 @@ def run(options: argparse.Namespace) -> dict[str, object]:
             name: measure_vtest(frames, read_marks(), detector, score)
             for name, score in SCORES.items()
         },
-        "limbs_right_below_px": LIMBS_RIGHT_BELOW_PX,
-        "confidence": {
-            "street_people": stated_and_met(own),
-            "street_people_odd": stated_and_met([trial for trial in own if trial.odd]),
-            "pose2sim": stated_and_met(videos),
-            "street_people_paper": stated_and_met(trials_of(shown, estimator, PAPER)),
-        },
-    }
-
-
-def stated_and_met(trials: Sequence[Trial]) -> dict[str, object]:
-    """Return the calibration error of all hypotheses, and their confidences in five bins."""
-    confidence = np.concatenate([trial.confidence for trial in trials])
-    right = np.concatenate([trial.right for trial in trials])
-    return {
-        "ece": expected_calibration_error(confidence, right),
-        "bins": reliability(confidence, right, 5),
     }
 
 

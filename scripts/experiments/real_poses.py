@@ -1,11 +1,10 @@
 """Silhouettes and poses of real people, compared with their references."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
 from app.estimation.finder import Target
@@ -15,10 +14,8 @@ from app.estimation.upload import Upload
 from app.photograph import Estimator, fit_poses
 from app.scheduling.job import Job
 from app.vision.geometry import Box
-from app.vision.odds import logit, sigmoid
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
-from descriptor.silhouette import normalise
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import LIMB_ROWS, wrap_degrees
 from scripts.datasets import Reference, StreetPerson, VideoFrame, about_hips, azimuth_of_limbs
@@ -32,10 +29,6 @@ and the service's own by kind of evidence."""
 NEAR = 0.1
 """A joint is right (PCK) within this share of the body's height."""
 
-LIMBS_RIGHT_BELOW_PX = 5.9
-"""Mean error over the 12 limb joints that corresponds to 5 px over all 19 joints, which a
-confidence is about; ``docs/results/simulation.md`` measures it."""
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -44,8 +37,7 @@ class Trial:
     ``odd``: the photograph is of the half that nothing was tuned on. ``near`` is the share of the
     joints within a tenth of the body height, ``distance_m`` the 3D distance, hips on hips,
     ``facing_right`` whether each is seen from the same side, front or back, as the reference,
-    ``turned_deg`` the angle between their azimuths, ``error_px`` the 2D distance in the normalised
-    frame.
+    ``turned_deg`` the angle between their azimuths.
     """
 
     odd: bool
@@ -53,13 +45,6 @@ class Trial:
     distance_m: NDArray[np.float64]
     facing_right: NDArray[np.bool_]
     turned_deg: NDArray[np.float64]
-    confidence: NDArray[np.float64]
-    error_px: NDArray[np.float64]
-
-    @property
-    def right(self) -> NDArray[np.bool_]:
-        """Whether each hypothesis is right as its confidence means it."""
-        return self.error_px < LIMBS_RIGHT_BELOW_PX
 
 
 @dataclass(frozen=True)
@@ -155,7 +140,6 @@ def trials_of(people: Sequence[Shown], estimator: Estimator, way: str = BOTH) ->
 def judge(shown: Shown, person: Person) -> Trial:
     """Compare a person's hypotheses with the reference."""
     reference = shown.reference
-    scale = normalise(shown.silhouette.crop)[1].scale
     points_2d = np.array([one.points_2d[LIMB_ROWS] for one in person.hypotheses])
     points_3d = about_hips(np.array([one.points_3d[LIMB_ROWS] for one in person.hypotheses]))
     apart = np.linalg.norm(points_2d - reference.joints_2d, axis=-1)
@@ -168,8 +152,6 @@ def judge(shown: Shown, person: Person) -> Trial:
         distance_m=np.linalg.norm(points_3d - reference.joints_3d, axis=-1).mean(axis=-1),
         facing_right=front == (np.cos(np.deg2rad(reference.azimuth_deg)) > 0),
         turned_deg=turned,
-        confidence=np.array([one.confidence for one in person.hypotheses]),
-        error_px=scale * apart.mean(axis=-1),
     )
 
 
@@ -186,30 +168,3 @@ def pose_figures(trials: Sequence[Trial]) -> dict[str, float]:
         "first_mm": 1000 * float(np.mean([t.distance_m[0] for t in trials])),
         "best_mm": 1000 * float(np.mean([t.distance_m.min() for t in trials])),
     }
-
-
-def fit_slope_and_bias(trials: Sequence[Trial]) -> tuple[float, float]:
-    """Fit slope and bias of the log odds of confidences."""
-    model = LogisticRegression(C=1e3).fit(
-        np.concatenate([_log_odds(t) for t in trials])[:, None],
-        np.concatenate([t.right for t in trials]),
-    )
-    return float(model.coef_[0, 0]), float(model.intercept_[0])
-
-
-def cross_validated(trials: Sequence[Trial]) -> list[Trial]:
-    """Replace confidences by those fitted to people in the other half of the photographs.
-
-    Those of the service are fitted to both halves.
-    """
-    fitted = {odd: fit_slope_and_bias([t for t in trials if t.odd != odd]) for odd in (False, True)}
-
-    def refitted(trial: Trial) -> Trial:
-        slope, bias = fitted[trial.odd]
-        return replace(trial, confidence=sigmoid(slope * _log_odds(trial) + bias))
-
-    return [refitted(trial) for trial in trials]
-
-
-def _log_odds(trial: Trial) -> NDArray[np.float64]:
-    return logit(trial.confidence, 1e-9)

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.posture import GROUPS, likeliest_posture
+from app.estimation.posture import likeliest_posture
 from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
 from index.build.calibrate import (
     Queries,
@@ -33,7 +33,7 @@ from index.network import AXES
 from index.posture import LOW, POSTURES, classify_postures
 from index.reranking import RankingModel
 from index.silhouette_posture import KIND_OF, KINDS
-from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS, LIMBS
+from index.skeleton import BODY_UP, JOINTS
 from index.store import PoseIndex
 from scripts.metrics import confusion, percent
 from scripts.training.held_out import strict_index
@@ -109,10 +109,6 @@ def measure(
         ).tolist(),
         "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
         "limits": limits(upright),
-        "limb_threshold_px": {
-            "upright": limb_threshold_px(upright),
-            "degraded": limb_threshold_px(degraded),
-        },
     }
 
 
@@ -244,14 +240,11 @@ def way_figures(
 ) -> Figures:
     """Return how often the kinds of postures are right by shares ``(Q, 10)``; ``unclear`` is not.
 
-    The calibration error is that of the groups, whose probability the service states.
+    The calibration error is that of the labels' probabilities.
     """
     true = KIND_OF[postures]
     kinds, probability = told_kinds(trial, shares)
     right = kinds == true
-    groups = [[POSTURES.index(name) for name in group] for group in GROUPS]
-    sums = np.stack([shares[:, members].sum(axis=1) for members in groups], axis=1)
-    group_of = np.array([[p in members for members in groups].index(True) for p in postures])
     return {
         "right": percent(right),
         "mean_over_kinds": float(np.mean([percent(right[true == k]) for k in np.unique(true)])),
@@ -260,15 +253,8 @@ def way_figures(
         ),
         "wrong": percent(~right & (kinds < len(KINDS))),
         "unclear": percent(kinds == len(KINDS)),
-        "ece": expected_calibration_error(probability, sums.argmax(axis=1) == group_of),
+        "ece": expected_calibration_error(probability, shares.argmax(axis=1) == postures),
     }
-
-
-def limb_threshold_px(trial: Trial) -> float:
-    """Return the mean limb error below which as many hypotheses come as are right."""
-    offered = np.isfinite(trial.error_px)
-    limbs = trial.joint_errors_px[..., [JOINT_NAMES.index(name) for name in LIMBS]].mean(axis=-1)
-    return float(np.quantile(limbs[offered], trial.right[offered].mean()))
 
 
 def by_elevation(queries: Simulation, trial: Trial) -> dict[str, Figures]:

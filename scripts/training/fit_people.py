@@ -1,10 +1,8 @@
-"""Fit detection scores and confidences to photographs, since simulation cannot teach them.
+"""Fit detection scores to frames of the street video and to rendered photographs.
 
-Writes the parts `detection` and `objects` of ``app/networks/models/fitted.json`` and prints the
-constants of :func:`index.confidence.fused_confidences`, within about fifteen minutes. The data are
-street photographs (Penn-Fudan), frames of the street video, sports photographs (LSP Extended) and,
-for the part `objects`, rendered photographs, which need the environment of ``docs/training.md``.
-Pose2Sim, UP-Fall, the falls and the homes are not used, so that they remain a test.
+Writes the parts `detection` and `objects` of ``app/networks/models/fitted.json``, within about ten
+minutes. Both sources may be used for products (``docs/data.md``). Rendering needs the environment
+of ``docs/training.md``.
 """
 
 import argparse
@@ -16,12 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
-from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from app.estimation.results import Person
-from app.networks.shipped import FOLDER, file_of
-from app.photograph import Estimator, load_estimator, normalise_person
+from app.networks.shipped import FOLDER
+from app.photograph import Estimator, load_estimator
 from app.settings import Settings
 from app.vision.detector import (
     DOUBTFUL,
@@ -31,18 +27,7 @@ from app.vision.detector import (
 )
 from app.vision.geometry import Box, Boxes, iou_matrix
 from app.vision.odds import sigmoid
-from index.confidence import RIGHT_BELOW_PX, fused_agreement
-from index.skeleton import LIMB_ROWS, LIMBS
-from scripts.datasets import (
-    Marks,
-    as_array,
-    read_lsp,
-    read_marks,
-    read_pennfudan,
-    read_street_people,
-    read_vtest,
-)
-from scripts.helpers import estimate
+from scripts.datasets import Marks, as_array, read_marks, read_vtest
 from scripts.results import SHARED
 from scripts.training.render.scene import Studio
 from scripts.training.render_people import PEOPLE
@@ -52,26 +37,22 @@ COMMAND = "python -m scripts fit-people"
 RENDERED, RENDERED_EMPTY, RENDERED_SEED = 1500, 0.4, 77
 """Rendered photographs, the share without people, and the seed."""
 
+RIDGE = 1e-3
 SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
 
 
 @dataclass
 class Samples:
-    """Features and truths of one source, and the photograph of each, its group."""
+    """Features and truths of the candidates of one source."""
 
     features: list[NDArray[np.float64]] = field(default_factory=list)
     truths: list[bool] = field(default_factory=list)
-    groups: list[str] = field(default_factory=list)
 
-    def add(self, features: NDArray[np.float64], truth: bool, group: str) -> None:
-        """Add a sample."""
+    def add(self, features: NDArray[np.float64], truth: bool) -> None:
+        """Add a candidate."""
         self.features.append(features)
         self.truths.append(truth)
-        self.groups.append(group)
-
-
-Source = Iterator[tuple[str, NDArray[np.uint8]]]
 
 
 def candidate_samples(
@@ -93,13 +74,8 @@ def box_overlap(box: Box, people: Boxes) -> float:
     return float(iou_matrix(as_array([box]), people).max(initial=0.0))
 
 
-def pedestrian(people: Boxes) -> Callable[[Box], bool | None]:
-    """Judge candidates in street photographs."""
-    return lambda box: box_overlap(box, people) >= SAME
-
-
-def athlete(body: Boxes) -> Callable[[Box], bool | None]:
-    """Judge candidates in sports photographs, where only one person is annotated."""
+def subject(body: Boxes) -> Callable[[Box], bool | None]:
+    """Judge candidates in rendered photographs: None for people beside the subject."""
     return lambda box: True if box_overlap(box, body) >= 0.3 else None
 
 
@@ -114,26 +90,17 @@ def walker(marks: Marks) -> Callable[[Box], bool | None]:
     return judge
 
 
-def detection_samples(estimator: Estimator, shared: Path) -> dict[str, Samples]:
-    """Collect the candidates of every source that has boxes or joints."""
-    detector = estimator.models.detector
-    sources = {name: Samples() for name in ("pennfudan", "vtest", "lsp")}
-    street = read_pennfudan(shared / "real" / "pennfudan")
-    for one in tqdm(street, desc="street photographs"):
-        people = as_array(one.boxes)
-        for sample in candidate_samples(detector, one.frame, pedestrian(people)):
-            sources["pennfudan"].add(*sample, one.name)
+def street_samples(estimator: Estimator, shared: Path) -> Samples:
+    """Collect the candidates of the marked frames of the street video."""
+    samples = Samples()
     marks = {one.frame: one for one in read_marks()}
     for number, frame in read_vtest(shared / "real" / "vtest", len(marks)):
         if number in marks:
-            for sample in candidate_samples(detector, frame, walker(marks[number])):
-                sources["vtest"].add(*sample, str(number))
-    for person in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports photographs"):
-        low, size = person.every_joint.min(axis=0), np.ptp(person.every_joint, axis=0)
-        body = np.array([[*low, *np.maximum(size, 1)]])
-        for sample in candidate_samples(detector, person.frame, athlete(body)):
-            sources["lsp"].add(*sample, person.name)
-    return sources
+            for sample in candidate_samples(
+                estimator.models.detector, frame, walker(marks[number])
+            ):
+                samples.add(*sample)
+    return samples
 
 
 def rendered_samples(estimator: Estimator, shared: Path) -> Samples:
@@ -146,105 +113,60 @@ def rendered_samples(estimator: Estimator, shared: Path) -> Samples:
         generator = np.random.default_rng([RENDERED_SEED, number])
         empty = bool(generator.random() < RENDERED_EMPTY)
         photograph = studio.take(generator, empty=empty)
-        judge = athlete(photograph.box[None])
+        judge = subject(photograph.box[None])
         for sample in candidate_samples(
             estimator.models.detector, photograph.image, (lambda _: False) if empty else judge
         ):
-            samples.add(*sample, str(number))
+            samples.add(*sample)
     return samples
 
 
-def fit_detection(sources: dict[str, Samples]) -> dict[str, float]:
-    """Fit the weights of the detectors' scores; none may be negative."""
-    features = np.concatenate([np.array(one.features) for one in sources.values()])
-    truths = np.concatenate([np.array(one.truths) for one in sources.values()])
-    model = LogisticRegression(C=10.0).fit(features[:, :-2], truths)
-    weights = zip(("movenet", "hog", "pose_detection"), model.coef_[0].tolist(), strict=True)
-    constants = {name: max(0.0, weight) for name, weight in weights}
-    constants["offset"] = float(model.intercept_[0])
-    return _rounded(constants)
+def fit_detection(sources: Sequence[Samples]) -> dict[str, float]:
+    """Fit the weights of the detectors' scores, none negative; sources weigh the same."""
+    features, truths = _joined(sources)
+    weights = np.concatenate([np.full(len(one.truths), 1 / len(one.truths)) for one in sources])
+    evidence = np.append(features[:, :-2], np.ones((len(features), 1)), axis=1)
+    bounds = [(0.0, None)] * 3 + [(None, None)]
+    fitted = _log_odds(evidence, truths, np.zeros(len(truths)), weights, bounds)
+    return dict(zip(("movenet", "hog", "pose_detection", "offset"), fitted, strict=True))
 
 
-def fit_objects(
-    detection: dict[str, float], sources: Sequence[Samples], rendered: Samples
-) -> dict[str, float]:
-    """Fit what the log odds of objects add to those of doubtful candidates that count as people.
+def fit_objects(detection: dict[str, float], sources: Sequence[Samples]) -> dict[str, float]:
+    """Fit what the log odds of objects add to those of doubtful candidates that count as people."""
+    features, truths = _joined(sources)
+    odds = features[:, :-2] @ np.array([*detection.values()][:-1]) + detection["offset"]
+    chances = sigmoid(odds)
+    doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL[1])
+    person, other = features[doubtful, -2:].T
+    evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
+    fitted = _log_odds(evidence, truths[doubtful], odds[doubtful], np.ones(len(person)))
+    return dict(zip(("person", "excess", "offset"), fitted, strict=True))
 
-    Photographs, which show hardly anybody who lies, and renders have the same weight in all.
-    """
-    weights = np.array([*detection.values()][:-1])
-    kinds = []
-    for kind in (sources, [rendered]):
-        features = np.concatenate([np.array(one.features) for one in kind])
-        signs = np.where(np.concatenate([np.array(one.truths) for one in kind]), 1.0, -1.0)
-        odds = features[:, :-2] @ weights + detection["offset"]
-        chances = sigmoid(odds)
-        doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL[1])
-        person, other = features[doubtful, -2:].T
-        evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
-        kinds.append((signs[doubtful], odds[doubtful], evidence))
+
+def _joined(sources: Sequence[Samples]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    return (
+        np.concatenate([np.array(one.features) for one in sources]),
+        np.concatenate([np.array(one.truths) for one in sources]),
+    )
+
+
+def _log_odds(
+    evidence: NDArray[np.float64],
+    truths: NDArray[np.bool_],
+    known: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    bounds: Sequence[tuple[float | None, float | None]] | None = None,
+) -> list[float]:
+    """Fit the log odds ``(N,)`` that evidence ``(N, F)`` adds to those known."""
+    signs, shares = np.where(truths, 1.0, -1.0), weights / weights.sum()
 
     def loss(constants: NDArray[np.float64]) -> float:
-        return sum(
-            float(np.logaddexp(0, -signs * (odds + evidence @ constants)).mean())
-            for signs, odds, evidence in kinds
-        )
+        odds = known + evidence @ constants
+        # A small ridge, in case the evidence separates few samples completely.
+        return float(shares @ np.logaddexp(0, -signs * odds) + RIDGE * constants @ constants)
 
-    fitted = minimize(loss, np.zeros(3)).x.tolist()
-    return _rounded(dict(zip(("person", "excess", "offset"), fitted, strict=True)))
-
-
-def _rounded(constants: dict[str, float]) -> dict[str, float]:
-    return {name: round(value, 4) for name, value in constants.items()}
-
-
-def confidence_samples(
-    estimator: Estimator, shared: Path
-) -> tuple[list[tuple[float, float]], list[bool]]:
-    """Collect agreement and adjustment of the hypotheses of people in sport and in the street.
-
-    The second list says whether each is right: over the limbs annotated as visible, or those of
-    MediaPipe's landmarks where its mask agrees with the true one.
-    """
-    features: list[tuple[float, float]] = []
-    right: list[bool] = []
-
-    def add(person: Person, joints: NDArray[np.float64], seen: NDArray[np.bool_]) -> None:
-        normalised = normalise_person(person)
-        if normalised is None:
-            return
-        to_frame = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
-        for placed in person.hypotheses:
-            errors = np.linalg.norm(placed.points_2d[LIMB_ROWS] - joints, axis=1)[seen]
-            agreement = float(fused_agreement(np.array(placed.distance)))
-            features.append((agreement, placed.adjusted_m))
-            right.append(bool(errors.mean() / to_frame < RIGHT_BELOW_PX))
-
-    for one in tqdm(read_lsp(shared / "real" / "lsp"), desc="sports people"):
-        middle = one.limbs.mean(axis=0)
-        people = [
-            person
-            for person in estimate(estimator, one.frame)
-            if _holds(person.whole_box, middle) and person.hypotheses
-        ]
-        if people and one.visible.any():
-            largest = max(people, key=lambda other: other.whole_box.area)
-            add(largest, one.limbs, one.visible)
-    folder = shared / "real" / "pennfudan"
-    for street in tqdm(read_street_people(folder, read_pennfudan(folder)), desc="street people"):
-        (person,) = estimate(estimator, street.photograph.frame, street.box)
-        add(person, street.reference.joints_2d, np.ones(len(LIMBS), bool))
-    return features, right
-
-
-def _holds(box: Box, place: NDArray[np.float64]) -> bool:
-    return bool(box.x <= place[0] <= box.right and box.y <= place[1] <= box.bottom)
-
-
-def fit_confidence(features: list[tuple[float, float]], right: list[bool]) -> list[float]:
-    """Fit the log odds that a hypothesis is right: weights of the features, and the offset."""
-    model = LogisticRegression(C=100.0).fit(np.array(features), right)
-    return [round(value, 4) for value in (*model.coef_[0].tolist(), float(model.intercept_[0]))]
+    fitted = minimize(loss, np.zeros(evidence.shape[1]), bounds=bounds).x
+    return [round(value, 4) for value in fitted.tolist()]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -253,23 +175,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--shared", type=Path, default=SHARED)
     shared = parser.parse_args(arguments).shared
     if not (shared / "real").is_dir():
-        parser.error(f"expected {shared}/real to hold the photographs, it is not there")
+        parser.error(f"expected {shared}/real to hold the street video, it is not there")
     estimator = load_estimator(Settings())
-    sources = detection_samples(estimator, shared)
-    rendered = rendered_samples(estimator, shared)
+    sources = {
+        "vtest": street_samples(estimator, shared),
+        "renders": rendered_samples(estimator, shared),
+    }
     data = ", ".join(f"{len(one.truths)} candidates of {name}" for name, one in sources.items())
-    document = json.loads(file_of("fitted").read_text())
-    detection = fit_detection(sources)
-    objects = fit_objects(detection, [*sources.values()], rendered)
-    document["detection"] = {"command": COMMAND, "data": data, "constants": detection}
-    data += f", {len(rendered.truths)} of renders"
-    document["objects"] = {"command": COMMAND, "data": data, "constants": objects}
+    samples = [*sources.values()]
+    detection = fit_detection(samples)
+    fits = {"detection": detection, "objects": fit_objects(detection, samples)}
+    document = {
+        part: {"command": COMMAND, "data": data, "constants": constants}
+        for part, constants in fits.items()
+    }
     fitted = FOLDER / "fitted.json"
     fitted.write_text(json.dumps(document, indent=1) + "\n")
     record_hash(fitted)
-    features, right = confidence_samples(estimator, shared)
-    print(
-        f"index/confidence.py: {fit_confidence(features, right)}, fitted to {len(right)} "
-        "hypotheses of people in sport and in the street, "
-        f"{100 * np.mean(right):.0f} % of them right"
-    )

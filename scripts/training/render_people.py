@@ -138,15 +138,15 @@ def rendering_parser(description: str | None, count: int, seed: int) -> argparse
 
 
 def open_studio(options: argparse.Namespace) -> Studio:
-    """The studio of these options; pictures are made on one core."""
+    """The studio of these options."""
+    count = HELD_OUT_PEOPLE if options.held_out else PEOPLE
+    return studio_of(options.shared, count, options.seed, held_out=options.held_out)
+
+
+def studio_of(shared: Path, count: int, seed: int, *, held_out: bool) -> Studio:
+    """A studio with ``count`` people; pictures are made on one core."""
     cv2.setNumThreads(1)
-    studio = Studio.open(
-        options.shared / "mocap",
-        options.shared / "garments",
-        HELD_OUT_PEOPLE if options.held_out else PEOPLE,
-        options.seed,
-        held_out=options.held_out,
-    )
+    studio = Studio.open(shared / "mocap", shared / "garments", count, seed, held_out=held_out)
     studio.head_first = HEAD_FIRST
     studio.source.unrecorded, studio.source.fallen = UNRECORDED, FALLEN
     return studio

@@ -60,6 +60,13 @@ def camera_of(photograph: Photograph, generator: Generator) -> PinholeCamera:
     return PinholeCamera(np.array([focal, focal]), photograph.centre)
 
 
+def rough_box(photograph: Photograph, generator: Generator) -> Box:
+    """The box about what is seen of the subject, as roughly as detectors find it."""
+    scatter = generator.normal(0, 0.04, 4) * photograph.box[[2, 3, 2, 3]]
+    left, top, width, height = (photograph.box + scatter).tolist()
+    return Box(left, top, max(4.0, width), max(4.0, height))
+
+
 @dataclass(frozen=True)
 class Reader:
     """The service's reading of one person, and its models of photographs."""
@@ -81,10 +88,7 @@ class Reader:
         """The rows of the views of a photograph."""
         rows = []
         for view, shown in enumerate(views_of(photograph, generator)):
-            scatter = generator.normal(0, 0.04, 4) * shown.box[[2, 3, 2, 3]]
-            left, top, width, height = shown.box + scatter
-            box = Box(float(left), float(top), max(4.0, float(width)), max(4.0, float(height)))
-            reading = self.people.read(shown.image, box)
+            reading = self.people.read(shown.image, rough_box(shown, generator))
             camera = camera_of(shown, generator)
             _, trust, seen = self.models.evidence(reading, camera)
             one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)

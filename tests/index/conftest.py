@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import is_wide, principal_axis_deg
 from index.build.writer import save_index
-from index.confidence import RERANKING_FEATURES, Calibration
+from index.confidence import RERANKING_FEATURES, Calibration, signs
 from index.reranking import RankingModel
 from index.skeleton import camera_rotation, rows, wrap_degrees
 from index.store import PoseIndex
@@ -77,7 +77,8 @@ def ground_index() -> PoseIndex:
 @pytest.fixture(scope="session")
 def reranker() -> RankingModel:
     """A network that has learned nothing."""
-    calibration = Calibration((0.1,) * len(RERANKING_FEATURES), -0.2, RERANKING_FEATURES)
+    weights = tuple((0.1 * signs(RERANKING_FEATURES)).tolist())
+    calibration = Calibration(weights, -0.2, RERANKING_FEATURES)
     return RankingModel(random_network(1), calibration, {"passes": 0})
 
 

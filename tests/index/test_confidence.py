@@ -1,5 +1,5 @@
-"""Probabilities that hypotheses are right: by a calibration that survives the manifest, and by
-landmarks.
+"""Probabilities that hypotheses are right: of silhouettes alone, by a calibration that survives the
+manifest, and with landmarks.
 """
 
 import json
@@ -10,9 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from index.confidence import FEATURES, Calibration, fused_confidences
+from index.confidence import (
+    FEATURES,
+    LANDMARK_CONFIDENCE,
+    LANDMARK_FEATURES,
+    RERANKING_FEATURES,
+    Calibration,
+    signs,
+)
 
 COUNT = len(FEATURES)
+SIGNS = tuple(signs(FEATURES).tolist())
 
 
 def some_features(rows: int) -> np.ndarray:
@@ -20,7 +28,7 @@ def some_features(rows: int) -> np.ndarray:
 
 
 def test_round_trip_through_json() -> None:
-    calibration = Calibration(tuple(np.linspace(-1, 1, COUNT).tolist()), 0.25)
+    calibration = Calibration(tuple(sign / 3 for sign in SIGNS), 0.25)
     back = Calibration.restore(json.loads(json.dumps(calibration.parameters())))
     assert back == calibration
     assert_array_equal(
@@ -29,7 +37,7 @@ def test_round_trip_through_json() -> None:
 
 
 def test_probabilities_of_extreme_features() -> None:
-    calibration = Calibration((1e6,) * COUNT, -3.0)
+    calibration = Calibration(tuple(1e6 * sign for sign in SIGNS), -3.0)
     probability = calibration.probability(some_features(50))
     assert np.isfinite(probability).all()
     assert ((probability >= 0) & (probability <= 1)).all()
@@ -49,8 +57,49 @@ def test_invalid_weights_are_refused(weights: tuple[float, ...]) -> None:
         Calibration(weights, 0.0)
 
 
-@given(distances=st.lists(st.floats(0, 1e4), min_size=2, max_size=20).map(sorted))
-def test_confidence_with_landmarks_falls_with_the_distance(distances: list[float]) -> None:
-    confidences = fused_confidences(np.array(distances), np.zeros(len(distances)))
-    assert ((confidences > 0) & (confidences < 1)).all()
-    assert (np.diff(confidences) <= 0).all()
+@pytest.mark.parametrize("features", [FEATURES, RERANKING_FEATURES])
+def test_no_confidence_rises_with_the_reprojection_error(features: tuple[str, ...]) -> None:
+    """Nor with the distance from the database: such a calibration is refused."""
+    for name in ("reprojection_error_px", "log_distance"):
+        weights = tuple(0.1 if one == name else 0.0 for one in features)
+        with pytest.raises(ValueError, match="signs"):
+            Calibration(weights, 0.0, features)
+
+
+errors = st.floats(0, 1e4)
+
+
+@given(
+    entry=st.tuples(errors, errors),
+    fitted=st.tuples(errors, errors),
+    reliability=st.floats(0, 1),
+    nearer=st.one_of(st.just(np.nan), st.floats(0, 1)),
+)
+def test_confidence_with_landmarks_never_rises_with_a_reprojection_error(
+    entry: tuple[float, float], fitted: tuple[float, float], reliability: float, nearer: float
+) -> None:
+    rest = (reliability, nearer)
+    near, far = (min(entry), min(fitted)), (max(entry), max(fitted))
+    features = np.array([[*near, *rest], [far[0], near[1], *rest], [*far, *rest]])
+    probabilities = LANDMARK_CONFIDENCE.probability(features)
+    assert ((probabilities >= 0) & (probabilities <= 1)).all()
+    assert (np.diff(probabilities) <= 0).all()
+
+
+@given(shares=st.lists(st.floats(0, 1), min_size=2, max_size=9).map(sorted))
+def test_alternatives_are_likelier_the_more_of_the_posterior_is_near_them(
+    shares: list[float],
+) -> None:
+    features = np.full((len(shares) + 1, len(LANDMARK_FEATURES)), np.nan)
+    features[:, :-1] = 4.0, 1.0, 0.8
+    features[1:, -1] = shares
+    first, *alternatives = LANDMARK_CONFIDENCE.probability(features)
+    assert (np.diff(alternatives) >= 0).all()
+    assert max(alternatives) < first
+
+
+@given(confidences=st.lists(st.floats(0, 1), min_size=1, max_size=9).map(sorted))
+def test_weights_follow_confidences(confidences: list[float]) -> None:
+    weights = LANDMARK_CONFIDENCE.weights(np.array(confidences))
+    assert weights.sum() == pytest.approx(1)
+    assert (np.diff(weights) >= 0).all() and (weights >= 0).all()

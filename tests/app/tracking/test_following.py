@@ -38,7 +38,6 @@ class WithoutPoses(Estimator):
         camera: PinholeCamera,
         n: int,
         job: Job,
-        outlines: int | None = None,
     ) -> list[Person | None]:
         return list(people)
 
