@@ -394,7 +394,7 @@ def load_models(concurrency: int) -> Models:
     detector.object_log_odds(frame, Detection(box, 0.5))
     reader.read(frame, box)
     # Kept where they are used: a track needs no estimator.
-    falls.shipped_model()
+    falls.shipped_models()
     actions.shipped_model()
     for name in ("identity", "elevation"):
         shipped_network(name)

@@ -50,7 +50,7 @@ def kept_arrays(session: CameraSession) -> dict[str, list[NDArray[np.generic]]]:
     A view counts as the array that it shows a part of, since it keeps that in memory.
     """
     estimator = session._estimator
-    models = (actions.shipped_model(), falls.shipped_model())
+    models = (actions.shipped_model(), *falls.shipped_models())
     shared = (estimator, estimator.finder, estimator.models, *models)
     seen = {id(one) for one in shared}
     found: dict[str, list[NDArray[np.generic]]] = {}

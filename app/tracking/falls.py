@@ -1,8 +1,8 @@
 """The probability that a person fell within the last seconds, from what their track showed.
 
-A few small networks see ten seconds of boxes, postures and gaps to the border, resampled to a
-fixed grid, so that they work at any frame rate. The grid is dense in the last second and ever wider
-before it: the networks see a quick fall in detail, and remember a slow one while the person lies.
+A few small networks see boxes, postures and gaps to the border, resampled to a fixed grid, so that
+they work at any frame rate. Those of the recent past see three seconds in detail; those with a long
+memory see ten, ever coarser, and so know how somebody came down slowly who lies now.
 They were trained on simulated tracks and rendered films by ``python -m scripts train-falls``.
 Lengths are in sizes of the body in the picture, and left and right are not distinguished, so that
 neither the frame's size nor mirroring it changes anything.
@@ -30,12 +30,16 @@ from app.vision.odds import sigmoid
 from app.vision.people import landmark_rows
 from app.vision.truncation import gaps_to_border
 
-GRID_S = np.array(
-    [10, 8.5, 7.2, 6.2, 5.4, 4.6, 3.8, 3.2, 2.6, 2.2, 1.8, 1.4, 1.0, 0.8, 0.6, 0.4, 0.2, 0]
-)  # fmt: skip
-"""Seconds before a frame that the networks see, oldest first."""
+MEMORIES = {
+    "recent": np.arange(2.8, -0.1, -0.2),
+    "long": np.array(
+        [10, 8.5, 7.2, 6.2, 5.4, 4.6, 3.8, 3.2, 2.6, 2.2, 1.8, 1.4, 1.0, 0.8, 0.6, 0.4, 0.2, 0]
+    ),
+}  # fmt: skip
+"""Seconds before a frame that the networks of each memory see, oldest first."""
 
-WINDOW_S, POINTS = float(GRID_S[0]), len(GRID_S)
+WINDOW_S = 10.0
+"""Time that the longest memory reaches back."""
 
 # Frames closer together than this show the networks nothing more.
 _MIN_STEP_S = 0.05
@@ -105,21 +109,23 @@ def window_features(
     times: NDArray[np.float64],
     rows: NDArray[np.float64],
     now: float,
+    grid_s: NDArray[np.float64],
     watched_from: float = math.inf,
 ) -> NDArray[np.float32]:
-    """Inputs ``(D,)`` of the network at a time, from rows ``(K, 17)``, oldest first.
+    """Inputs ``(D,)`` of a network at a time, from rows ``(K, 17)``, oldest first.
 
-    The camera is watched from ``watched_from`` on, at the latest from the first row.
+    The grid is one of :data:`MEMORIES`. The camera is watched from ``watched_from`` on, at the
+    latest from the first row.
 
     At each point of the grid: the top, the bottom and the hips relative to those of the last row,
     the horizontal distance from its middle, width and height, six postures, right, covered, the
     gaps to the nearer side, the upper and the lower border, whether the person was still seen at
     that time, whether the track had begun, and whether the camera was watched.
     """
-    grid = now - GRID_S
+    grid = now - grid_s
     right = np.clip(np.searchsorted(times, grid), 1, max(len(times) - 1, 1))
     if len(times) == 1:
-        at = np.repeat(rows, POINTS, axis=0)
+        at = np.repeat(rows, len(grid), axis=0)
     else:
         step = times[right] - times[right - 1]
         share = np.clip((grid - times[right - 1]) / np.maximum(step, 1e-6), 0, 1)[:, None]
@@ -156,19 +162,20 @@ _STRIDES = (1, 2)
 class FallModel:
     """The mean of a few networks with two convolutions over time and a hidden layer.
 
-    Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, 9 G, K)`` and ``(N, K, 2)`` of ``N``
-    networks and ``D`` inputs at each point of the grid; offsets ``(N, H)``, ``(N, G)``, ``(N, K)``
-    and ``(N, 2)``. The answers of single networks differ by chance, the more so the less a track
-    shows.
+    Weights are ``(N, 3 D, H)``, ``(N, 3 H, G)``, ``(N, P / 2 G, K)`` and ``(N, K, 2)`` of ``N``
+    networks and ``D`` inputs at each of the ``P`` points of the grid, one of :data:`MEMORIES`;
+    offsets ``(N, H)``, ``(N, G)``, ``(N, K)`` and ``(N, 2)``. The answers of single networks differ
+    by chance, the more so the less a track shows.
     """
 
+    grid_s: NDArray[np.float64]
     weights: tuple[NDArray[np.float32], ...]
     offsets: tuple[NDArray[np.float32], ...]
 
     def __post_init__(self) -> None:
         networks = len(self.weights[0])
         sizes = [COLUMNS, *(offset.shape[-1] for offset in self.offsets)]
-        points = -(-POINTS // np.prod(_STRIDES))
+        points = -(-len(self.grid_s) // np.prod(_STRIDES))
         factors = [3, 3, int(points), 1]
         expected = [
             (networks, n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)
@@ -181,18 +188,17 @@ class FallModel:
             )
 
     @classmethod
-    def of(cls, arrays: Mapping[str, NDArray[np.generic]]) -> Self:
-        """The model of stored arrays."""
-        layers = range(len(arrays) // 2)
+    def of(cls, arrays: Mapping[str, NDArray[np.generic]], memory: str) -> Self:
+        """The networks of a memory in a file that ``python -m scripts train-falls`` wrote."""
         weights, offsets = (
-            tuple(np.asarray(arrays[f"{name}{layer}"], np.float32) for layer in layers)
+            tuple(np.asarray(arrays[f"{memory}_{name}{row}"], np.float32) for row in range(4))
             for name in ("weights", "offsets")
         )
-        return cls(weights, offsets)
+        return cls(MEMORIES[memory], weights, offsets)
 
     def probabilities(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
         """Probabilities ``(..., 2)``: fell within the window and is down; the trunk is up now."""
-        values = features.reshape(*features.shape[:-1], 1, POINTS, COLUMNS)
+        values = features.reshape(*features.shape[:-1], 1, len(self.grid_s), COLUMNS)
         for layer, stride in enumerate(_STRIDES):
             values = np.maximum(self._layer(layer, _three_points(values, stride)), 0)
         values = values.reshape(*values.shape[:-2], 1, -1)
@@ -214,9 +220,10 @@ def _three_points(values: NDArray[np.float32], stride: int) -> NDArray[np.float3
 
 
 @cache
-def shipped_model() -> FallModel:
-    """The model that ships with the package."""
-    return FallModel.of(arrays_of("falls"))
+def shipped_models() -> tuple[FallModel, ...]:
+    """The models that ship with the package, one for each of :data:`MEMORIES`."""
+    arrays = arrays_of("falls")
+    return tuple(FallModel.of(arrays, memory) for memory in MEMORIES)
 
 
 REPORTED_FROM, REPORTED_LOST_FROM = 0.5, 0.7
@@ -255,12 +262,13 @@ class FallReport:
         """Add the probabilities of a frame; return whether a fall is to be reported now.
 
         In the frames in which a person is ``lost``, the probability is not filtered, since no other
-        frame can confirm it, and nothing shows that the person is up.
+        frame can confirm it, and nothing shows that the person is up. Whoever is up is not down.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         self._last_at = timestamp
-        likely = self._likely.update(fell, elapsed)
-        if lost or up < _UP_FROM:
+        is_up = up >= _UP_FROM and not lost
+        likely = self._likely.update(0.0 if is_up else fell, elapsed)
+        if not is_up:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp
@@ -320,6 +328,9 @@ class FallWatch:
     def _probabilities(self, timestamp: float) -> tuple[float, float]:
         times = np.array([time for time, _ in self._seen])
         rows = np.array([row for _, row in self._seen])
-        features = window_features(times, rows, timestamp, self._watched_from)
-        fell, up = shipped_model().probabilities(features).tolist()
-        return fell, up
+        found = []
+        for model in shipped_models():
+            features = window_features(times, rows, timestamp, model.grid_s, self._watched_from)
+            found.append(model.probabilities(features))
+        # Each memory sees falls that the other does not; the recent one, whether somebody is up.
+        return float(max(fell for fell, _ in found)), float(found[0][1])

@@ -12,7 +12,8 @@ from tqdm import tqdm
 
 from index.build.body import Avatar
 from index.skeleton import JOINT_NAMES
-from scripts.training.motions import Motion, Motions
+from scripts.training.falling import FallKind
+from scripts.training.motions import DAILY, Motion, Motions
 
 RATE = 15
 """Frames a second that are kept."""
@@ -22,9 +23,12 @@ SECONDS = 14
 
 COUNTS = {
     "fall": (360, 60), "collapse": (300, 50), "daily": (600, 120), "recorded": (400, 80),
-    "acrobatics": (60, 12), "drop": (20, 6),
+    "acrobatics": (60, 12), "drop": (20, 6), "out-of-bed": (120, 20), "bed": (150, 25),
 }  # fmt: skip
-"""Motions by kind, of training and of held-out subjects."""
+"""Motions by kind, of training and of held-out subjects. There are many about beds, since getting
+into bed and falling out of it look much alike."""
+
+_FALLS: dict[str, FallKind | None] = {"fall": None, "drop": "drop", "out-of-bed": "bed"}
 
 _NECK, _PELVIS = JOINT_NAMES.index("neck"), JOINT_NAMES.index("pelvis")
 _ANKLES = [JOINT_NAMES.index("left_ankle"), JOINT_NAMES.index("right_ankle")]
@@ -64,8 +68,11 @@ class Library:
                 generator = np.random.default_rng([seed, number, len(made)])
                 one = None
                 while one is None:
-                    if kind in ("fall", "drop"):
-                        one = motions.fall(generator, "drop" if kind == "drop" else None)
+                    if kind in _FALLS:
+                        one = motions.fall(generator, _FALLS[kind])
+                    elif kind == "bed":
+                        about = [name for name, (support, _) in DAILY.items() if support == "bed"]
+                        one = motions.daily(generator, str(generator.choice(about)))
                     elif kind == "collapse":
                         one = motions.collapse(generator)
                     elif kind == "daily":

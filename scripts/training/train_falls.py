@@ -20,7 +20,7 @@ from tqdm import tqdm
 from app.networks.shipped import FOLDER, read_arrays
 from app.tracking.falls import (
     COLUMNS,
-    POINTS,
+    MEMORIES,
     WINDOW_S,
     FallModel,
     FallReport,
@@ -82,14 +82,18 @@ def simulated(
         yield from tracks_of(scene, library, eyes, generator)
 
 
-def window_at(track: Track, row: int, now: float) -> NDArray[np.float32]:
-    """Inputs of the network at a time, of a track up to a row."""
+def window_at(
+    track: Track, row: int, now: float, grid_s: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Inputs of a network at a time, of a track up to a row."""
     first = max(0, int(np.searchsorted(track.times, now - WINDOW_S)) - 1)
     shown = slice(first, row + 1)
-    return window_features(track.times[shown], track.rows[shown], now, track.watched_from)
+    return window_features(track.times[shown], track.rows[shown], now, grid_s, track.watched_from)
 
 
-def windows_of(tracks: Iterator[Track], weight: float = 1.0) -> Windows:
+def windows_of(
+    tracks: Iterator[Track], grid_s: NDArray[np.float64], weight: float = 1.0
+) -> Windows:
     """Windows of all moments of tracks, at least :data:`STEP_S` apart, and when they were lost."""
     inputs, targets, weights = [], [], []
     for track in tracks:
@@ -101,10 +105,10 @@ def windows_of(tracks: Iterator[Track], weight: float = 1.0) -> Windows:
         if track.lost_at is not None and track.alone:
             moments.append((track.lost_at, len(track.times) - 1, True))
         for now, row, lost in moments:
-            fell, counts = _label(track, now, lost)
+            fell, counts = _label(track, now, lost, float(grid_s[0]))
             if not counts and lost:
                 continue
-            inputs.append(window_at(track, row, now))
+            inputs.append(window_at(track, row, now, grid_s))
             targets.append((fell, track.up[row]))
             weights.append((weight * counts, 0.0 if lost else weight))
     return Windows(*(np.array(part, np.float32) for part in (inputs, targets, weights)))
@@ -118,28 +122,30 @@ def together(parts: Sequence[Windows]) -> Windows:
     )  # fmt: skip
 
 
-def _label(track: Track, now: float, lost: bool) -> tuple[bool, float]:
-    """Whether the person fell within the window and is down, and whether it counts."""
+def _label(track: Track, now: float, lost: bool, memory_s: float) -> tuple[bool, float]:
+    """Whether the person fell within the memory and is down, and whether it counts."""
     if now < track.falls:
         return False, 1.0
     if lost:
         return True, float(track.times[0] < track.falls)
     begun = track.watched_from < track.falls
-    return True, float(begun and track.down + SHOWN_S <= now <= track.falls + WINDOW_S)
+    return True, float(begun and track.down + SHOWN_S <= now <= track.falls + memory_s)
 
 
-def trained(windows: Windows, seed: int = 0, start: FallModel | None = None) -> FallModel:
+def trained(
+    windows: Windows, grid_s: NDArray[np.float64], seed: int = 0, start: FallModel | None = None
+) -> FallModel:
     """Train a network, or train on the one of this number of a model."""
     import torch
 
     torch.manual_seed(seed)
     torch.set_num_threads(1)
-    network = untrained_network()
+    network = untrained_network(len(grid_s))
     epochs, rate = EPOCHS, RATE
     if start is not None:
         restore_weights(network, start, seed)
         epochs, rate = EPOCHS_TRAINED_ON, RATE_TRAINED_ON
-    inputs = torch.from_numpy(windows.inputs).view(-1, POINTS, COLUMNS).transpose(1, 2)
+    inputs = torch.from_numpy(windows.inputs).view(-1, len(grid_s), COLUMNS).transpose(1, 2)
     targets, weights = torch.from_numpy(windows.targets), torch.from_numpy(windows.weights)
     optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
     steps = epochs * (len(inputs) // _BATCH + 1)
@@ -155,11 +161,11 @@ def trained(windows: Windows, seed: int = 0, start: FallModel | None = None) -> 
             loss.backward()
             optimiser.step()
             schedule.step()
-    return model_of(network)
+    return model_of(network, grid_s)
 
 
-def untrained_network() -> Any:
-    """An untrained network; :class:`FallModel` says what it computes."""
+def untrained_network(points: int) -> Any:
+    """An untrained network for a grid; :class:`FallModel` says what it computes."""
     from torch import nn
 
     first, second, third = HIDDEN
@@ -167,12 +173,12 @@ def untrained_network() -> Any:
         nn.Conv1d(COLUMNS, first, 3, padding=1), nn.ReLU(),
         nn.Conv1d(first, second, 3, padding=1, stride=2), nn.ReLU(),
         nn.Flatten(), nn.Dropout(DROPOUT),
-        nn.Linear(second * ((POINTS + 1) // 2), third), nn.ReLU(),
+        nn.Linear(second * ((points + 1) // 2), third), nn.ReLU(),
         nn.Dropout(DROPOUT), nn.Linear(third, 2),
     )  # fmt: skip
 
 
-def model_of(network: Any) -> FallModel:
+def model_of(network: Any, grid_s: NDArray[np.float64]) -> FallModel:
     """The weights of a network as :class:`FallModel` takes them."""
     layers = [layer for layer in network if hasattr(layer, "weight")]
     weights = [layer.weight.detach().numpy() for layer in layers]
@@ -182,7 +188,8 @@ def model_of(network: Any) -> FallModel:
     by_point = third.reshape(len(third), channels, -1).transpose(2, 1, 0)
     matrices += [np.concatenate(list(by_point)), weights[3].T.copy()]
     offsets = (layer.bias.detach().numpy().copy() for layer in layers)
-    return FallModel(tuple(one[None] for one in matrices), tuple(one[None] for one in offsets))
+    parts = (tuple(one[None] for one in some) for some in (matrices, offsets))
+    return FallModel(grid_s, *parts)
 
 
 def restore_weights(network: Any, model: FallModel, number: int) -> None:
@@ -203,6 +210,7 @@ def restore_weights(network: Any, model: FallModel, number: int) -> None:
 def mean_of(models: Sequence[FallModel]) -> FallModel:
     """The model that gives the mean of several models."""
     return FallModel(
+        models[0].grid_s,
         tuple(np.concatenate(parts) for parts in zip(*(m.weights for m in models), strict=True)),
         tuple(np.concatenate(parts) for parts in zip(*(m.offsets for m in models), strict=True)),
     )
@@ -217,16 +225,17 @@ def half_way(before: FallModel, after: FallModel) -> FallModel:
     ----------
     .. [1] M. Wortsman et al., "Robust Fine-Tuning of Zero-Shot Models", CVPR 2022.
     """
-    return FallModel(midway(before.weights, after.weights), midway(before.offsets, after.offsets))
+    weights, offsets = midway(before.weights, after.weights), midway(before.offsets, after.offsets)
+    return FallModel(before.grid_s, weights, offsets)
 
 
-def save(model: FallModel, file: Path) -> None:
-    """Write a model in half precision."""
-    arrays = {
-        f"{name}{layer}": value.astype(np.float16)
-        for name, values in (("weights", model.weights), ("offsets", model.offsets))
-        for layer, value in enumerate(values)
-    }
+def save(model: FallModel, memory: str, file: Path) -> None:
+    """Write the networks of a memory in half precision, beside those of the other."""
+    kept = read_arrays(file) if file.exists() else {}
+    arrays = {name: value for name, value in kept.items() if not name.startswith(memory)}
+    for name, values in (("weights", model.weights), ("offsets", model.offsets)):
+        for layer, value in enumerate(values):
+            arrays[f"{memory}_{name}{layer}"] = value.astype(np.float16)
     np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     record_hash(file)
 
@@ -245,10 +254,12 @@ def recorded(model: FallModel, tracks: Iterator[Track]) -> list[Record]:
     records = []
     for track in tracks:
         times = track.times.tolist()
-        windows = [window_at(track, row, time) for row, time in enumerate(times)]
+        grid_s = model.grid_s
+        windows = [window_at(track, row, time, grid_s) for row, time in enumerate(times)]
         lost = None
         if track.lost_at is not None and track.alone:
-            lost = model.probabilities(window_at(track, len(times) - 1, track.lost_at))
+            last = window_at(track, len(times) - 1, track.lost_at, grid_s)
+            lost = model.probabilities(last)
         records.append(Record(track, model.probabilities(np.array(windows)), lost))
     return records
 
@@ -294,7 +305,7 @@ def reliability(model: FallModel, windows: Windows) -> list[tuple[float, float, 
 INPUTS = {
     "top and bottom": (0, 1), "hips": (2,), "distance": (3,), "width and height": (4, 5),
     "postures": range(6, 12), "trust": (12,), "covered": (13,), "gaps": (14, 15, 16),
-    "time seen": (17, 18),
+    "time seen": (17, 18, 19),
 }  # fmt: skip
 """Columns of :func:`app.tracking.falls.window_features`."""
 
@@ -349,6 +360,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--held-out", type=Path, required=True, help="those of held-out clips")
     parser.add_argument("--homes", type=int, default=HOMES, help="scenes of training")
     parser.add_argument("--crowds", type=int, default=CROWDS, help="crowds of training")
+    parser.add_argument("--memory", choices=[*MEMORIES], default="long", help="what to train")
     parser.add_argument(
         "--start", type=Path, help="a model to train on; the result is half-way between both"
     )
@@ -366,16 +378,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.examples is not None:
         write_examples(simulated(*held, 9, 1600, 0), options.examples)
         return
+    grid_s = MEMORIES[options.memory]
     windows = together(
         [
-            windows_of(simulated(*train, 1, options.homes, options.crowds)),
-            windows_of(film_tracks(options.train), FILM_WEIGHT),
+            windows_of(simulated(*train, 1, options.homes, options.crowds), grid_s),
+            windows_of(film_tracks(options.train), grid_s, FILM_WEIGHT),
         ]
     )
-    start = None if options.start is None else FallModel.of(read_arrays(options.start))
-    taught = mean_of([trained(windows, seed, start) for seed in range(NETWORKS)])
-    save(taught if start is None else half_way(start, taught), options.out)
-    model = FallModel.of(read_arrays(options.out))
+    start = None
+    if options.start is not None:
+        start = FallModel.of(read_arrays(options.start), options.memory)
+    taught = mean_of([trained(windows, grid_s, seed, start) for seed in range(NETWORKS)])
+    save(taught if start is None else half_way(start, taught), options.memory, options.out)
+    model = FallModel.of(read_arrays(options.out), options.memory)
     print("windows", len(windows.inputs), "with a fall", int(windows.targets[:, 0].sum()))
     for name, tracks in (
         ("homes", simulated(*held, 2, options.homes // 4, 0)),
@@ -390,7 +405,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("homes", simulated(*held, 4, options.homes // 8, options.crowds // 8)),
         ("films", film_tracks(options.held_out)),
     ):
-        shown = windows_of(tracks)
+        shown = windows_of(tracks, grid_s)
         for stated, true, count in reliability(model, shown):
             print(f"{name}: said {stated:.2f}, fell {true:.2f} of {count}")
         print(name, {key: round(share) for key, share in worth(model, shown).items()})

@@ -319,7 +319,7 @@ def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
 def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, fps: int) -> None:
     send(session, 0.0)  # The pictures of the camera are no part of a track.
     seen: dict[int, object] = {}  # They stay alive, so that no later object has their identity.
-    for shared in (session, actions.shipped_model(), falls.shipped_model()):
+    for shared in (session, actions.shipped_model(), *falls.shipped_models()):
         held_bytes(shared, seen)
     for frame in range(round(3.2 * fps)):
         send(session, (1 + frame) / fps, (0, 100))

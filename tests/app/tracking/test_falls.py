@@ -13,14 +13,14 @@ from app.estimation.results import Person
 from app.networks.shipped import file_of
 from app.tracking.falls import (
     COLUMNS,
-    POINTS,
+    MEMORIES,
     REPORTED_FROM,
     WINDOW_S,
     FallModel,
     FallReport,
     FallWatch,
     Observation,
-    shipped_model,
+    shipped_models,
     window_features,
 )
 from app.vision.geometry import Box
@@ -249,19 +249,44 @@ def test_neither_the_size_of_the_frame_nor_a_mirror_changes_anything() -> None:
             box = Box(*corner, scale * width, scale * height)
             shape = (round(480 * scale), round(640 * scale))
             rows.append(Observation(box, shape, draw.dirichlet(np.ones(6)), 0.5).row())
-        return window_features(times, np.array(rows), float(times[-1]))
+        return window_features(times, np.array(rows), float(times[-1]), MEMORIES["long"])
 
     plain = features(1.0, False)
     np.testing.assert_allclose(features(2.0, False), plain, atol=0.01)
     np.testing.assert_allclose(features(1.0, True), plain, atol=1e-5)
 
 
-def test_only_the_window_counts() -> None:
-    rows = np.random.default_rng(3).uniform(0, 300, (30, 17))
-    times = np.arange(30) * 0.2
-    whole = window_features(times, rows, times[-1])
-    recent = times >= times[-1] - WINDOW_S
-    np.testing.assert_array_equal(window_features(times[recent], rows[recent], times[-1]), whole)
+@pytest.mark.parametrize("grid_s", MEMORIES.values(), ids=MEMORIES)
+def test_only_the_window_counts(grid_s: NDArray[np.float64]) -> None:
+    rows = np.random.default_rng(3).uniform(0, 300, (90, 17))
+    times = np.arange(90) * 0.2
+    whole = window_features(times, rows, times[-1], grid_s, 0.0)
+    recent = times >= times[-1] - grid_s[0] - 0.21
+    short = window_features(times[recent], rows[recent], times[-1], grid_s, 0.0)
+    np.testing.assert_array_equal(short, whole)
+
+
+def test_a_person_who_appears_later_was_not_always_there() -> None:
+    """The networks see how long the camera was watched before somebody was found."""
+    rows, times = np.tile(seen(DOWN, LIES), (5, 1)), np.arange(5) * 0.2
+    for grid_s in MEMORIES.values():
+        at_once = window_features(times, rows, 0.8, grid_s).reshape(-1, COLUMNS)
+        later = window_features(times, rows, 0.8, grid_s, -20.0).reshape(-1, COLUMNS)
+        np.testing.assert_array_equal(at_once[:, -1], at_once[:, -2])
+        assert later[:, -1].all() and not later[0, -2]
+
+
+def test_a_slow_descent_is_remembered_while_the_person_lies() -> None:
+    """By way of the knees, over four seconds: longer than the recent memory."""
+    kneels = Box(290, 230, 90, 125)
+    steps = [
+        (UPRIGHT, STANDS, 3.0),
+        (kneels, np.eye(6)[2], 1.2),
+        (kneels, np.eye(6)[4], 1.0),
+        (DOWN, LIES, 1.2),
+        (DOWN, LIES, 5.0),
+    ]
+    assert len(reported(steps, 5)) == 1
 
 
 def test_a_watch_forgets_what_is_older_than_its_window() -> None:
@@ -271,20 +296,22 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
     assert len(watch._seen) <= 15 * WINDOW_S + 2
 
 
-def test_the_model_is_small_and_a_file_of_another_shape_is_refused() -> None:
-    model = shipped_model()
-    assert file_of("falls").stat().st_size < 170_000
-    assert sum(map(np.size, model.weights)) < 3 * 30_000
-    wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
-    with pytest.raises(ValueError, match="expected weights Nx60x"):
-        FallModel(wrong, model.offsets)
+def test_the_models_are_small_and_arrays_of_another_shape_are_refused() -> None:
+    assert file_of("falls").stat().st_size < 350_000
+    for model in shipped_models():
+        assert sum(map(np.size, model.weights)) < 3 * 32_000
+        wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
+        with pytest.raises(ValueError, match="expected weights Nx60x"):
+            FallModel(model.grid_s, wrong, model.offsets)
 
 
-def test_the_model_gives_the_mean_of_its_networks() -> None:
-    model = shipped_model()
-    windows = np.random.default_rng(4).uniform(-1, 1, (5, POINTS * COLUMNS)).astype(np.float32)
+@pytest.mark.parametrize("model", shipped_models(), ids=MEMORIES)
+def test_the_model_gives_the_mean_of_its_networks(model: FallModel) -> None:
+    size = len(model.grid_s) * COLUMNS
+    windows = np.random.default_rng(4).uniform(-1, 1, (5, size)).astype(np.float32)
     single = [
         FallModel(
+            model.grid_s,
             tuple(weight[[number]] for weight in model.weights),
             tuple(offset[[number]] for offset in model.offsets),
         )
