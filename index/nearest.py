@@ -102,6 +102,6 @@ def _hypotheses(
         each,
         distance=entries.distances,
         confidence=reprojection_confidence(errors_px),
-        outline_distance_px=errors_px[:, 1],
+        reprojection_error_px=errors_px[:, 1],
         features=errors_px,
     )

@@ -75,9 +75,8 @@ def answers_about(estimator: Estimator, people: Iterable[KnownPerson]) -> Iterat
         if normalised is None or normalised.normalised_landmarks() is None:
             continue
         scale = float(np.sqrt(abs(np.linalg.det(normalised.to_frame[:, :2]))))
-        (person,) = estimator.fit([known.person], known.camera, DEFAULT_HYPOTHESES, Job())
-        if person is None:
-            continue
+        (fitted,) = estimator.fit([known.person], known.camera, DEFAULT_HYPOTHESES, Job())
+        person = fitted or known.person
         for rank, one in enumerate(person.hypotheses, start=1):
             apart = np.linalg.norm(one.points_2d[LIMB_ROWS] - known.limbs_2d, axis=1)
             distance_m = np.nan
@@ -91,10 +90,10 @@ def answers_about(estimator: Estimator, people: Iterable[KnownPerson]) -> Iterat
 
 
 def rendered_people(
-    estimator: Estimator, studio: Studio, seed: int, count: int, first: int = 0
+    estimator: Estimator, studio: Studio, seed: int, count: int
 ) -> Iterator[KnownPerson]:
     """Yield the people of photographs that the service finds in them."""
-    for number in tqdm(range(first, count), desc="rendered people"):
+    for number in tqdm(range(count), desc="rendered people"):
         generator = np.random.default_rng([seed, number])
         found = _rendered(estimator, studio, generator)
         if found is not None:

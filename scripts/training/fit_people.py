@@ -1,6 +1,6 @@
 """Fit detection scores to frames of the street video and to rendered photographs.
 
-Writes the parts `detection` and `objects` of ``app/networks/models/fitted.json``, within about ten
+Writes the parts `detection` and `objects` of ``app/networks/models/fitted.json``, in a few
 minutes. Both sources may be used for products (``docs/data.md``). Rendering needs the environment
 of ``docs/training.md``.
 """
@@ -19,25 +19,20 @@ from tqdm import tqdm
 from app.networks.shipped import FOLDER
 from app.photograph import Estimator, load_estimator
 from app.settings import Settings
-from app.vision.detector import (
-    DOUBTFUL,
-    MIN_DETECTION_SCORE,
-    NetworkDetector,
-    detection_features,
-)
+from app.vision.detector import NetworkDetector, detection_features
 from app.vision.geometry import Box, Boxes, iou_matrix
-from app.vision.odds import sigmoid
 from scripts.datasets import Marks, as_array, read_marks, read_vtest
 from scripts.results import SHARED
 from scripts.training.render.scene import Studio
-from scripts.training.render_people import PEOPLE
 from scripts.training.shipping import record_hash
 
 COMMAND = "python -m scripts fit-people"
-RENDERED, RENDERED_EMPTY, RENDERED_SEED = 1500, 0.4, 77
-"""Rendered photographs, the share without people, and the seed."""
+RENDERED, RENDERED_EMPTY, RENDERED_BODIES, RENDERED_SEED = 200, 0.4, 12, 77
+"""Rendered photographs, the share without people, the bodies, and the seed."""
 
 RIDGE = 1e-3
+"""Weight of the squared constants in the loss, for few samples that some score separates."""
+
 SAME = 0.5
 """Overlap (IoU) from which a candidate is an annotated person."""
 
@@ -107,7 +102,7 @@ def rendered_samples(estimator: Estimator, shared: Path) -> Samples:
     """Collect the candidates of rendered photographs, of people in any posture and of things."""
     samples = Samples()
     studio = Studio.open(
-        shared / "mocap", shared / "garments", PEOPLE, RENDERED_SEED, held_out=False
+        shared / "mocap", shared / "garments", RENDERED_BODIES, RENDERED_SEED, held_out=False
     )
     for number in tqdm(range(RENDERED), desc="rendered photographs"):
         generator = np.random.default_rng([RENDERED_SEED, number])
@@ -132,14 +127,15 @@ def fit_detection(sources: Sequence[Samples]) -> dict[str, float]:
 
 
 def fit_objects(detection: dict[str, float], sources: Sequence[Samples]) -> dict[str, float]:
-    """Fit what the log odds of objects add to those of doubtful candidates that count as people."""
+    """Fit what the log odds of objects add to those of the detectors.
+
+    All candidates count, since few are doubtful.
+    """
     features, truths = _joined(sources)
     odds = features[:, :-2] @ np.array([*detection.values()][:-1]) + detection["offset"]
-    chances = sigmoid(odds)
-    doubtful = (chances >= MIN_DETECTION_SCORE) & (chances < DOUBTFUL[1])
-    person, other = features[doubtful, -2:].T
+    person, other = features[:, -2:].T
     evidence = np.stack([person, np.maximum(0, other - person), np.ones_like(person)], axis=1)
-    fitted = _log_odds(evidence, truths[doubtful], odds[doubtful], np.ones(len(person)))
+    fitted = _log_odds(evidence, truths, odds, np.ones(len(truths)))
     return dict(zip(("person", "excess", "offset"), fitted, strict=True))
 
 
@@ -162,7 +158,6 @@ def _log_odds(
 
     def loss(constants: NDArray[np.float64]) -> float:
         odds = known + evidence @ constants
-        # A small ridge, in case the evidence separates few samples completely.
         return float(shares @ np.logaddexp(0, -signs * odds) + RIDGE * constants @ constants)
 
     fitted = minimize(loss, np.zeros(evidence.shape[1]), bounds=bounds).x

@@ -84,7 +84,7 @@ def test_an_entry_is_nearest_to_its_own_silhouette(tiny_index: PoseIndex, entry:
     best = found.hypotheses[0]
     assert (best.entry_id, best.mirrored) == (entry, False)
     assert best.distance == pytest.approx(0, abs=1e-3)
-    assert best.outline_distance_px == 0
+    assert best.reprojection_error_px == 0
     assert best.confidence == max(one.confidence for one in found.hypotheses)
 
 

@@ -89,7 +89,8 @@ def test_a_mirror_image_is_in_the_same_posture(
     toy_index: PoseIndex, reranker: RankingModel
 ) -> None:
     index = replace(toy_index, reranker=replace(reranker, postures=NETWORK))
-    silhouette = toy_index.silhouette(5)
+    # One without ties among the modes, which the last digits would decide.
+    silhouette = toy_index.silhouette(6)
     one, mirrored = (
         match_silhouette(index, np.ascontiguousarray(seen), 3).postures
         for seen in (silhouette, silhouette[:, ::-1])
