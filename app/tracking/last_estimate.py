@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from app.tracking.falls import WINDOW_S
 
 # A person who has not moved for `_UNCHANGED_FOR_S` is estimated only every `_ESTIMATED_EVERY_S`. By
-# then, a fall has been decided, and errors of several readings still average out.
-_UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = WINDOW_S, 0.4
+# then, a quick fall has been decided, and errors of several readings still average out.
+_UNCHANGED_FOR_S, _ESTIMATED_EVERY_S = 3.0, 0.4
 
 
 class LastEstimate:

@@ -27,7 +27,7 @@ from scripts.training.render.scene import Studio
 from scripts.training.shipping import record_hash
 
 COMMAND = "python -m scripts fit-people"
-RENDERED, RENDERED_EMPTY, RENDERED_BODIES, RENDERED_SEED = 200, 0.4, 12, 77
+RENDERED, RENDERED_EMPTY, RENDERED_BODIES, RENDERED_SEED = 1000, 0.4, 24, 77
 """Rendered photographs, the share without people, the bodies, and the seed."""
 
 RIDGE = 1e-3
