@@ -44,6 +44,9 @@ SHOWN_S = 0.2
 FILM_WEIGHT = 4.0
 """Weight of windows of rendered films, whose errors are the session's own."""
 
+LEAST_FRAMES = 8
+"""Of a part of a track in which somebody lies."""
+
 STEP_S = 0.2
 """Least time between two windows of a track."""
 
@@ -89,6 +92,18 @@ def window_at(
     first = max(0, int(np.searchsorted(track.times, now - WINDOW_S)) - 1)
     shown = slice(first, row + 1)
     return window_features(track.times[shown], track.rows[shown], now, grid_s, track.watched_from)
+
+
+def with_lying(tracks: Iterator[Track], seed: int) -> Iterator[Track]:
+    """The same tracks, and parts of them that begin when somebody lies: nobody saw a fall there."""
+    generator = np.random.default_rng(seed)
+    for track in tracks:
+        yield track
+        begins = track.down + generator.uniform(-0.3, 3.0)
+        kept = track.times >= begins
+        if np.isfinite(track.falls) and kept.sum() >= LEAST_FRAMES:
+            times, rows, up = track.times[kept], track.rows[kept], track.up[kept]
+            yield Track(times, rows, np.inf, np.inf, up, None, True, float(times[0]))
 
 
 def windows_of(
@@ -381,7 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     grid_s = MEMORIES[options.memory]
     windows = together(
         [
-            windows_of(simulated(*train, 1, options.homes, options.crowds), grid_s),
+            windows_of(with_lying(simulated(*train, 1, options.homes, options.crowds), 1), grid_s),
             windows_of(film_tracks(options.train), grid_s, FILM_WEIGHT),
         ]
     )
