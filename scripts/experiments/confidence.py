@@ -24,8 +24,8 @@ from scripts.datasets import read_lsp, read_pennfudan, read_street_people
 from scripts.metrics import percent, reliability
 from scripts.training.confidence_data import Answer, KnownPerson, answers_about, rendered_people
 from scripts.training.fit_confidence import held_out_queries
+from scripts.training.held_out import part
 from scripts.training.render_people import studio_of
-from scripts.training.train_reranker import part
 
 PEOPLE, RENDERED, SEED = 12, 192, 79
 """Bodies, photographs, and the seed of both and of the silhouettes."""

@@ -38,8 +38,8 @@ from index.confidence import (
 from index.store import PoseIndex
 from scripts.results import SHARED
 from scripts.training.confidence_data import Answer, answers_about, rendered_people
+from scripts.training.held_out import part
 from scripts.training.render_people import studio_of
-from scripts.training.train_reranker import part
 
 PEOPLE, RENDERED, SEED = 12, 453, 78
 """Bodies, photographs, and the seed of both and of the silhouettes."""

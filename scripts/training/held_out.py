@@ -1,8 +1,11 @@
-"""The index and network of experiments, which know no held-out clip."""
+"""Indexes of experiments: without held-out clips, or of some entries."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from index import DEFAULT_PATH
 from index.artefact import load_index, load_reranker
@@ -10,6 +13,7 @@ from index.build.builder import IndexSpec, build, hold_out
 from index.build.motion import Segment, read_manifest
 from index.build.writer import save_index
 from index.reranking import RankingModel
+from index.search import ExactNeighbours
 from index.store import PoseIndex
 
 
@@ -40,3 +44,15 @@ def shipped_reranker(held: Sequence[Segment]) -> RankingModel | None:
                 f"{', '.join(sorted(known))}"
             )
     return reranker
+
+
+def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
+    """Some entries of an index, searched exactly."""
+    return replace(
+        index,
+        vectors=ExactNeighbours(index.vectors[rows]),
+        entries=index.entries[rows],
+        silhouette_store=index.silhouette_store.select(rows),
+        version="",
+        searched_by=None,
+    )

@@ -58,10 +58,10 @@ from index.network import (
     quantised_relu,
 )
 from index.reranking import RankingModel
-from index.search import ExactNeighbours
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 from scripts.results import SHARED
+from scripts.training.held_out import part
 
 log = logging.getLogger(__name__)
 
@@ -158,18 +158,6 @@ def calibrated(
     asked = replace(index, reranker=RankingModel.of(network))
     calibration = calibrate(asked, queries, RERANKING_FEATURES)
     return RankingModel(network, calibration)
-
-
-def part(index: PoseIndex, rows: NDArray[np.int64]) -> PoseIndex:
-    """Some entries of an index, searched exactly."""
-    return replace(
-        index,
-        vectors=ExactNeighbours(index.vectors[rows]),
-        entries=index.entries[rows],
-        silhouette_store=index.silhouette_store.select(rows),
-        version="",
-        searched_by=None,
-    )
 
 
 _LOG_EVERY = 500  # Steps.

@@ -48,9 +48,9 @@ from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
 from scripts.metrics import percent
 from scripts.results import SHARED
+from scripts.training.held_out import part
 from scripts.training.render.pose import Pose
 from scripts.training.render.posing import PoseSource, classes_of
-from scripts.training.train_reranker import part
 
 PRIOR = np.array([0.5, 0.07, 0.07, 0.05, 0.12, 0.05, 0.14])
 """Assumed shares of :data:`index.silhouette_posture.KINDS` among people."""
