@@ -326,10 +326,10 @@ def _loss(logits: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
     parts = logits.reshape(len(logits), JOINTS, JOINT_BINS).split(
         [axis.bins for axis in AXES], dim=-1
     )
-    for position, part in enumerate(parts):
-        apart = torch.arange(part.shape[-1]) - truth[..., position, None]
+    for position, scores in enumerate(parts):
+        apart = torch.arange(scores.shape[-1]) - truth[..., position, None]
         target = torch.softmax(-(apart**2) / 2, dim=-1)
-        loss = loss - (target * part.log_softmax(dim=-1)).sum(dim=-1).mean()
+        loss = loss - (target * scores.log_softmax(dim=-1)).sum(dim=-1).mean()
     return loss / len(AXES)
 
 
