@@ -13,8 +13,8 @@ public class Main {
     int width =
         new PoseApi(client)
             .estimatePose(
-                null, null, null, null, null, null, null, null, null, null, photograph, null, null,
-                null)
+                null, null, null, null, null, null, null, null, null, null, null, null, photograph,
+                null, null, null)
             .getImage()
             .getWidth();
     ArrayList<Double> times = new ArrayList<>();
@@ -24,7 +24,7 @@ public class Main {
       times.add(
           new CamerasApi(client)
               .trackFrame(
-                  "java", null, null, null, null, null, null, null, null, null,
+                  "java", null, null, null, null, null, null, null, null, null, null, null,
                   inQuery ? at : null, null, photograph, null, null, null, null, inQuery ? null : at)
               .getTimestamp());
     }
