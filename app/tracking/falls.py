@@ -2,7 +2,7 @@
 
 A few small networks see boxes, postures and gaps to the border, resampled to a fixed grid, so that
 they work at any frame rate. Those of the recent past see three seconds in detail; those with a long
-memory see ten, ever coarser, and so know how somebody came down slowly who lies now.
+memory see ten, ever coarser, and recognise a slow fall while the person lies.
 They were trained on simulated tracks and rendered films by ``python -m scripts train-falls``.
 Lengths are in sizes of the body in the picture, and left and right are not distinguished, so that
 neither the frame's size nor mirroring it changes anything.
@@ -38,7 +38,7 @@ MEMORIES = {
 }  # fmt: skip
 """Seconds before a frame that the networks of each memory see, oldest first."""
 
-WINDOW_S = 10.0
+WINDOW_S = float(MEMORIES["long"][0])
 """Time that the longest memory reaches back."""
 
 # Frames closer together than this show the networks nothing more.
@@ -239,8 +239,8 @@ _UP_FROM, _UP_S = 0.5, 1.0
 
 
 # The long memory is asked only about people who are not up and whose landmarks were right with this
-# probability on average in the last second: else the corner of a car that is taken for somebody who
-# lies would fall in the end.
+# probability on average in the last second. Otherwise a parked car that is detected as a lying
+# person is reported as a fall in the end.
 _TRUSTED_S, _TRUSTED_FROM = 1.0, 0.1
 _RIGHT = 5 + _POSTURES  # Column of :meth:`Observation.row`.
 

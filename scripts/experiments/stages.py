@@ -19,9 +19,7 @@ from tqdm import tqdm
 from app.estimation.results import Person
 from app.photograph import Estimator, load_estimator
 from app.settings import Settings
-from index.search import ExactNeighbours
 from index.skeleton import LIMB_ROWS
-from index.store import PoseIndex
 from scripts.datasets import (
     Reference,
     padded_box,
@@ -31,6 +29,7 @@ from scripts.datasets import (
     read_street_people,
 )
 from scripts.experiments.people import NEAR_OF_TRUNK
+from scripts.experiments.permutation import permuted
 from scripts.experiments.real_detection import measure_detection, measure_hog
 from scripts.experiments.real_poses import (
     BOTH,
@@ -55,8 +54,6 @@ FRAME_STEP, SPORT_STEP = 4, 2
 
 SEED = 76
 DEFAULT = "silhouette_and_landmarks"
-BLOCK = 65_536
-
 Way = Callable[[Shown], Person | None]
 """How a person is answered; None where that cannot be."""
 
@@ -99,14 +96,6 @@ def ways_of(estimator: Estimator) -> dict[str, Way]:
         DEFAULT: lambda shown: answer(estimator, shown, BOTH),
         "silhouette_and_landmarks_permuted": lambda shown: answer(at_random, shown, BOTH),
     }
-
-
-def permuted(index: PoseIndex, seed: int) -> PoseIndex:
-    """Return an index in which a descriptor finds random entries."""
-    order = np.random.default_rng(seed).permutation(len(index))
-    blocks = [index.vectors[slice(row, row + BLOCK)] for row in range(0, len(index), BLOCK)]
-    vectors = ExactNeighbours(np.concatenate(blocks)[order])
-    return replace(index, vectors=vectors, searched_by=None)
 
 
 def sources(real: Path, estimator: Estimator) -> Iterator[tuple[str, list[Shown]]]:

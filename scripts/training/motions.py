@@ -156,7 +156,7 @@ COLLAPSES: dict[str, tuple[_Step, ...]] = {
 """Ways to the ground that are not simulated: people give way in stages, and lie still."""
 
 _STAYS = 0.25
-"""Share of the stages in which somebody who gives way stays for a moment."""
+"""Share of the stages in which a collapsing person pauses."""
 
 _LYING_POSES = 60
 """Simulated falls that show how those lie; each takes seconds."""
@@ -333,7 +333,7 @@ class Motions:
         return poses
 
     def _giving_way(self, name: str, clip: Clip, generator: Generator) -> Pose:
-        """Draw a pose for the bones of a clip; who lies on the ground lies as after a fall."""
+        """Draw a pose for the bones of a clip; lying poses are those after simulated falls."""
         while True:
             if name == "lying":
                 pose = self.poses.fallen_pose(int(generator.integers(_LYING_POSES)), generator)
@@ -405,7 +405,7 @@ class Motions:
         return Motion(f"fall-{kind}", clip, rotations, positions, begun, down, support)
 
     def collapse(self, generator: Generator, kind: str | None = None) -> Motion:
-        """Somebody who stands or walks sinks to the ground in stages, and lies there."""
+        """A person who stands or walks sinks to the ground in stages and stays there."""
         kind = kind or str(generator.choice(list(COLLAPSES)))
         before = self.recorded(
             generator, walks=bool(generator.random() < 0.6), seconds=generator.uniform(2.5, 4.0)
@@ -413,7 +413,7 @@ class Motions:
         clip, begun = before.clip, len(before.rotations)
         steps = list(COLLAPSES[kind])
         if generator.random() < 0.4:
-            steps.append(("lying", 0.5, 2.0))  # Who lies turns over.
+            steps.append(("lying", 0.5, 2.0))  # The person turns over.
         poses = [self._giving_way(name, clip, generator) for name, *_ in steps]
         heading = float(facing_yaw(before.rotations[-1:, 0])[0])
         keys, times, lies = [before.rotations[-1]], [0.0], list[float]()

@@ -7,9 +7,10 @@ from numpy.testing import assert_array_equal
 from app.photograph import load_estimator
 from app.settings import Settings
 from index.store import PoseIndex
+from scripts.experiments.permutation import permuted
 from scripts.experiments.real_poses import in_video
 from scripts.experiments.rendered_people import FILE, read_rendered_people
-from scripts.experiments.stages import figures_of, permuted, ways_of
+from scripts.experiments.stages import figures_of, ways_of
 
 LEAST_LOSS_MM = {"silhouette": 10.0}
 """What permuting the index costs the best of seven, by way; measured: 22 mm."""
