@@ -1,4 +1,4 @@
-"""The index artefact: a folder, verified when it is read; :mod:`index.build.writer` writes it.
+"""The index artefact: a folder, verified when it is read; :mod:`scripts.index.writer` writes it.
 
 The folder may also hold a re-ranking network. ``reranking.npz`` holds its weights,
 ``reranking.json`` their SHA-256 and the constants fitted to it, and ``postures.npz`` the network

@@ -8,7 +8,7 @@ of the first.
 With landmarks, the probability follows from the reprojection error of the entry and from how far
 the landmarks are likely to be off, by constants fitted to rendered people
 (:mod:`scripts.training.fit_confidence`). For a silhouette alone, it follows from features of the
-match, by a calibration that is stored with the index (:mod:`index.build.calibrate`).
+match, by a calibration that is stored with the index (:mod:`scripts.index.calibrate`).
 """
 
 from __future__ import annotations

@@ -6,8 +6,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from index import DEFAULT_PATH
-from index.build.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
-from index.build.writer import check_replaceable, save_index
+from scripts.index.builder import CMU_ATTRIBUTION, IndexSpec, Plan, build
+from scripts.index.writer import check_replaceable, save_index
 from scripts.results import SHARED
 
 CONNECT_S = 10

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from app.vision.optics import PinholeCamera
 from app.vision.people import Silhouette, silhouette_from_mask
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.motion import METRES_PER_UNIT, Clip
-from index.build.poses import Poses
-from index.build.render import fill_triangles, skin
 from index.skeleton import JOINT_NAMES, camera_rotation
+from scripts.index.body import Avatar, pose_transforms, posed_points, retarget
+from scripts.index.motion import METRES_PER_UNIT, Clip
+from scripts.index.poses import Poses
+from scripts.index.render import fill_triangles, skin
 
 CLIP_FPS = 30
 FPS = 10

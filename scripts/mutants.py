@@ -36,7 +36,7 @@ MODULES = [
 ]  # fmt: skip
 """Where answers are decided, and whether an alarm is raised and delivered."""
 
-TESTS = ["tests/app", "tests/api", "tests/index", "tests/golden", "--ignore=tests/index/build"]
+TESTS = ["tests/app", "tests/api", "tests/index", "tests/golden"]
 LIBRARIES = "av cv2 fastapi.testclient faiss httpx hypothesis lap numpy paho.mqtt.client pytest"
 FOLDER = ROOT / "mutants"
 _MOST_PERCENT = 10.0  # Survivors that are allowed.

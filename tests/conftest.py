@@ -29,11 +29,11 @@ from app.settings import Settings
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
 from index.artefact import load_index
-from index.build.writer import compress, save_index
 from index.confidence import FEATURES, Calibration, signs
 from index.search import ExactNeighbours
 from index.skeleton import NATIVE, POINT_NAMES, camera_rotation, project
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE, PoseIndex
+from scripts.index.writer import compress, save_index
 from tests.golden.pictures import png
 from tests.support.ports import free_ports
 

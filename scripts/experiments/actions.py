@@ -13,8 +13,8 @@ from app.estimation.posture import PostureFilter
 from app.tracking.actions import MIN_VOTE, ActionModel
 from app.vision.odds import softmax
 from index import DEFAULT_PATH
-from index.build.calibrate import expected_calibration_error
 from index.posture import POSTURES
+from scripts.index.calibrate import expected_calibration_error
 from scripts.metrics import confusion, percent
 from scripts.training.action_model import (
     ACTIONS,

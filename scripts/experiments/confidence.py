@@ -17,10 +17,10 @@ from app.estimation.upload import Upload
 from app.photograph import Estimator, load_estimator
 from app.scheduling.job import Job
 from app.settings import Settings
-from index.build.builder import entries_of
-from index.build.calibrate import expected_calibration_error, run_trial
 from index.skeleton import LIMBS
 from scripts.datasets import read_lsp, read_pennfudan, read_street_people
+from scripts.index.builder import entries_of
+from scripts.index.calibrate import expected_calibration_error, run_trial
 from scripts.metrics import percent, reliability
 from scripts.training.confidence_data import Answer, KnownPerson, answers_about, rendered_people
 from scripts.training.fit_confidence import held_out_queries

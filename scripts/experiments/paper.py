@@ -18,10 +18,6 @@ from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
 from descriptor.silhouette import normalise, pack
-from index.build.builder import assemble
-from index.build.descriptor_learning import Recipe, learn_descriptor, view_joints
-from index.build.simulate import Simulation
-from index.build.writer import compress
 from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.confidence import Calibration
 from index.matching import SPARE_MODES
@@ -48,6 +44,10 @@ from scripts.experiments.paper_plots import (
     plot_tracks,
 )
 from scripts.experiments.weizmann import weizmann_figures
+from scripts.index.builder import assemble
+from scripts.index.descriptor_learning import Recipe, learn_descriptor, view_joints
+from scripts.index.simulate import Simulation
+from scripts.index.writer import compress
 
 SEED, SEED_OF_DATABASE = 2016, 7
 COUNTS = (1, 7)

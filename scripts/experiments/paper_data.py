@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, pack
-from index.build.simulate import Simulation
-from index.build.writer import compress
 from index.confidence import RIGHT_BELOW_PX
+from scripts.index.simulate import Simulation
+from scripts.index.writer import compress
 
 DATA = Path(__file__).with_name("paper.npz")
 PARTS = ("known", "unseen")

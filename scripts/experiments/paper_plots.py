@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from index.build.simulate import Simulation
 from index.skeleton import JOINT_NAMES
 from scripts.experiments.outline_noise import disturb_all
+from scripts.index.simulate import Simulation
 
 COLUMNS = {
     "paper": ("the paper's descriptor", "C1"),

@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.silhouette import HEIGHT, WIDTH, pack
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.builder import PAPER_AVATARS
-from index.build.garments import make_avatars
-from index.build.motion import Segment, read_manifest
-from index.build.poses import Poses, read_poses
-from index.build.render import render, skin
-from index.build.simulate import Simulation
-from index.build.views import VIEW_DTYPE
-from index.build.writer import compress
 from index.skeleton import POINTS, camera_rotation
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
 from scripts.experiments.paper_data import DATA, KNOWN, STEP, STRETCHES, write_paper_data
+from scripts.index.body import Avatar, pose_transforms, posed_points, retarget
+from scripts.index.builder import PAPER_AVATARS
+from scripts.index.garments import make_avatars
+from scripts.index.motion import Segment, read_manifest
+from scripts.index.poses import Poses, read_poses
+from scripts.index.render import render, skin
+from scripts.index.simulate import Simulation
+from scripts.index.views import VIEW_DTYPE
+from scripts.index.writer import compress
 from scripts.results import SHARED
 
 CAMERA_DISTANCE_M = 5.0

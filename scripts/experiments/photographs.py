@@ -26,7 +26,6 @@ from app.vision.judgement import FRAME_POSTURES, Trust, load_photograph_models
 from app.vision.optics import PinholeCamera, window_axes
 from app.vision.people import Detection
 from app.vision.truncation import attenuate_visibility_at_border
-from index.build.calibrate import expected_calibration_error
 from scripts.datasets import (
     HIPS,
     LOW,
@@ -38,6 +37,7 @@ from scripts.datasets import (
     read_lsp,
     read_pose2sim,
 )
+from scripts.index.calibrate import expected_calibration_error
 from scripts.metrics import percent
 from scripts.training.photograph_data import LIMBS, RIGHT_SHARE, RIGHT_WITHIN
 

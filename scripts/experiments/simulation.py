@@ -1,7 +1,7 @@
 """The simulation experiment: bodies, clips and views that the index never saw.
 
 The index is built as the shipped one is, but without the held-out clips
-(:func:`index.build.builder.hold_out`); descriptor and confidence are fitted to what remains. The
+(:func:`scripts.index.builder.hold_out`); descriptor and confidence are fitted to what remains. The
 re-ranking network is the shipped one, which knows none of these clips either. Queries are frames
 spread evenly over the held-out clips, on the bodies of ``HELD_OUT_AVATARS``, each from one random
 view of the hemisphere: upright motion, clips near the ground, and both laid down.
@@ -15,17 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import likeliest_posture
-from index.build.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
-from index.build.calibrate import (
-    Queries,
-    Trial,
-    calibration_floor,
-    expected_calibration_error,
-    run_trial,
-)
-from index.build.garments import make_avatars
-from index.build.motion import read_manifest
-from index.build.simulate import Simulation
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
 from index.nearest import match_nearest
@@ -35,6 +24,17 @@ from index.reranking import RankingModel
 from index.silhouette_posture import KIND_OF, KINDS
 from index.skeleton import BODY_UP, JOINTS
 from index.store import PoseIndex
+from scripts.index.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
+from scripts.index.calibrate import (
+    Queries,
+    Trial,
+    calibration_floor,
+    expected_calibration_error,
+    run_trial,
+)
+from scripts.index.garments import make_avatars
+from scripts.index.motion import read_manifest
+from scripts.index.simulate import Simulation
 from scripts.metrics import confusion, percent
 from scripts.training.held_out import strict_index
 

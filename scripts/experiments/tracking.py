@@ -20,8 +20,14 @@ from app.estimation.results import Person, ProjectedHypothesis
 from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import SMOOTHING, Smoothed
 from app.vision.people import Silhouette
-from index.build.body import Phenotype
-from index.build.builder import (
+from index.confidence import RIGHT_BELOW_PX
+from index.facing import azimuth_deg
+from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
+from index.store import PoseIndex
+from scripts.filming import FPS, Filmed, film
+from scripts.helpers import Follower, match_silhouettes
+from scripts.index.body import Phenotype
+from scripts.index.builder import (
     CALIBRATION_AVATARS,
     HELD_OUT_AVATARS,
     IndexSpec,
@@ -29,16 +35,10 @@ from index.build.builder import (
     hold_out,
     split_by_clip,
 )
-from index.build.calibrate import expected_calibration_error
-from index.build.garments import Wardrobe, make_avatars
-from index.build.motion import Segment, read_manifest
-from index.build.poses import read_poses
-from index.confidence import RIGHT_BELOW_PX
-from index.facing import azimuth_deg
-from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
-from index.store import PoseIndex
-from scripts.filming import FPS, Filmed, film
-from scripts.helpers import Follower, match_silhouettes
+from scripts.index.calibrate import expected_calibration_error
+from scripts.index.garments import Wardrobe, make_avatars
+from scripts.index.motion import Segment, read_manifest
+from scripts.index.poses import read_poses
 from scripts.training.held_out import strict_index
 
 VIEWS, SEED = 4, 7

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from app.tracking.actions import WINDOW_S, ActionModel, PoseSample, window_features
 from app.vision.odds import softmax
-from index.build.body import Avatar, pose_transforms, posed_points, retarget
-from index.build.motion import Segment
-from index.build.poses import read_poses
 from index.skeleton import JOINT_NAMES, POINT_NAMES, camera_rotation
 from scripts.filming import CLIP_FPS, ELEVATIONS_DEG, on_ground, unbroken_stretches
+from scripts.index.body import Avatar, pose_transforms, posed_points, retarget
+from scripts.index.motion import Segment
+from scripts.index.poses import read_poses
 
 ACTIONS = (
     "arm-circle", "jump", "jumping-jack", "knee-raise", "lie", "punch",

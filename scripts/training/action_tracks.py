@@ -22,17 +22,17 @@ from app.tracking.actions import PoseSample
 from app.tracking.motion import Motion
 from app.tracking.smoothing import Smoothed
 from index.artefact import load_index
-from index.build.body import Avatar
-from index.build.builder import CALIBRATION_AVATARS, HELD_OUT_AVATARS
-from index.build.garments import make_avatars
-from index.build.motion import Clip, Segment, read_manifest
-from index.build.poses import Poses, read_poses
 from index.posture import classify_postures
 from index.search import ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
 from scripts.filming import CLIP_FPS, FPS, Filmed, film_stretch, unbroken_stretches
 from scripts.helpers import Follower, match_silhouettes
+from scripts.index.body import Avatar
+from scripts.index.builder import CALIBRATION_AVATARS, HELD_OUT_AVATARS
+from scripts.index.garments import make_avatars
+from scripts.index.motion import Clip, Segment, read_manifest
+from scripts.index.poses import Poses, read_poses
 from scripts.training.action_model import (
     ACTIONS,
     COPIES,

@@ -21,8 +21,8 @@ from scipy.spatial import cKDTree
 
 from app.tracking.falls import Observation
 from app.vision.geometry import Box
-from index.build.body import about_vertical
 from index.skeleton import JOINT_NAMES
+from scripts.index.body import about_vertical
 from scripts.training.motion_library import RATE, Library
 from scripts.training.render.cameras import Camera, aimed_at, sample_camera
 

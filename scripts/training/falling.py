@@ -17,7 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from index.build.motion import Clip
+from scripts.index.motion import Clip
 
 FPS = 30
 """Of clips and of the falls."""

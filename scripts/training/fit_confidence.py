@@ -19,16 +19,6 @@ from scipy.optimize import minimize
 from app.photograph import load_estimator
 from index import DEFAULT_PATH
 from index.artefact import version_of
-from index.build.builder import (
-    CALIBRATION_AVATARS,
-    QueryCounts,
-    entries_of,
-    hold_out,
-    simulate_queries,
-)
-from index.build.calibrate import Queries, calibrate
-from index.build.garments import make_avatars
-from index.build.motion import Segment, read_manifest
 from index.confidence import (
     LANDMARK_CONFIDENCE,
     RERANKING_FEATURES,
@@ -36,6 +26,16 @@ from index.confidence import (
     ConfidenceModel,
 )
 from index.store import PoseIndex
+from scripts.index.builder import (
+    CALIBRATION_AVATARS,
+    QueryCounts,
+    entries_of,
+    hold_out,
+    simulate_queries,
+)
+from scripts.index.calibrate import Queries, calibrate
+from scripts.index.garments import make_avatars
+from scripts.index.motion import Segment, read_manifest
 from scripts.results import SHARED
 from scripts.training.confidence_data import Answer, answers_about, rendered_people
 from scripts.training.held_out import part

@@ -20,7 +20,14 @@ from tqdm import tqdm
 from app.vision.detectors.hog import HogDetector
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.build.builder import (
+from index.confidence import RIGHT_BELOW_PX
+from index.matching import DEFAULT_HYPOTHESES, PoseHypothesis
+from index.nearest import match_nearest, reprojection_confidence
+from index.search import ExactNeighbours
+from index.skeleton import JOINTS
+from index.store import PoseIndex
+from scripts.datasets import as_array, read_marks, read_vtest
+from scripts.index.builder import (
     CALIBRATION_AVATARS,
     HELD_OUT_AVATARS,
     Plan,
@@ -30,16 +37,9 @@ from index.build.builder import (
     simulate_queries,
     split,
 )
-from index.build.calibrate import Queries, calibration_floor, expected_calibration_error
-from index.build.garments import make_avatars
-from index.build.motion import Segment, read_manifest
-from index.confidence import RIGHT_BELOW_PX
-from index.matching import DEFAULT_HYPOTHESES, PoseHypothesis
-from index.nearest import match_nearest, reprojection_confidence
-from index.search import ExactNeighbours
-from index.skeleton import JOINTS
-from index.store import PoseIndex
-from scripts.datasets import as_array, read_marks, read_vtest
+from scripts.index.calibrate import Queries, calibration_floor, expected_calibration_error
+from scripts.index.garments import make_avatars
+from scripts.index.motion import Segment, read_manifest
 from scripts.metrics import percent, true_positives
 from scripts.results import SHARED
 

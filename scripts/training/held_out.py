@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from index import DEFAULT_PATH
 from index.artefact import load_index, load_reranker
-from index.build.builder import IndexSpec, build, hold_out
-from index.build.motion import Segment, read_manifest
-from index.build.writer import save_index
 from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
+from scripts.index.builder import IndexSpec, build, hold_out
+from scripts.index.motion import Segment, read_manifest
+from scripts.index.writer import save_index
 
 
 def strict_index(shared: Path, folder: Path | None) -> PoseIndex:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from index.build.body import Avatar
 from index.skeleton import JOINT_NAMES
+from scripts.index.body import Avatar
 from scripts.training.falling import FallKind
 from scripts.training.motions import DAILY, Motion, Motions
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from app.vision.judgement import FRAME_POSTURES
-from index.build.body import (
+from scripts.index.body import (
     Avatar,
     about_vertical,
     facing_yaw,
@@ -26,8 +26,8 @@ from index.build.body import (
     posed_points,
     retarget,
 )
-from index.build.motion import METRES_PER_UNIT, Clip, Segment, read_manifest
-from index.build.poses import read_poses
+from scripts.index.motion import METRES_PER_UNIT, Clip, Segment, read_manifest
+from scripts.index.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
 from scripts.training.render.makers import ACTIVITY_POSES, use_hands
 from scripts.training.render.pose import Pose, places_of
@@ -235,7 +235,7 @@ class Motions:
             if (one.subject in HELD_OUT_SUBJECTS) == held_out or one.action in ("sit", "lie")
         ]  # fmt: skip
         poses, _ = read_poses(motion, segments)
-        from index.build.poses import joints_of
+        from scripts.index.poses import joints_of
 
         thinned = poses.take(np.arange(len(poses))[::3])
         source = PoseSource(thinned, classes_of(joints_of(thinned, avatar)))

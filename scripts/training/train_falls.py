@@ -26,8 +26,8 @@ from app.tracking.falls import (
     FallReport,
     window_features,
 )
-from index.build.builder import HELD_OUT_AVATARS
-from index.build.garments import make_avatars
+from scripts.index.builder import HELD_OUT_AVATARS
+from scripts.index.garments import make_avatars
 from scripts.results import ROOT
 from scripts.training.fall_tracks import Eyes, Track, crowd, home, tracks_of
 from scripts.training.film_tracks import film_tracks

@@ -28,7 +28,7 @@ from app.vision.depth import (
     sight_features,
 )
 from app.vision.judgement import TrustModel, trust_features
-from index.build.calibrate import expected_calibration_error
+from scripts.index.calibrate import expected_calibration_error
 from scripts.training.fit_dense import fit_dense, with_outputs
 from scripts.training.photograph_data import LIMBS, TrainingRows, WindowRows
 from scripts.training.render.people import MIRRORED

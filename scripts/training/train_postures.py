@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
 from app.vision.judgement import FRAME_POSTURES, PostureModel, load_photograph_models, sharpened
-from index.build.calibrate import expected_calibration_error
+from scripts.index.calibrate import expected_calibration_error
 from scripts.training.fit_dense import averaged, fit_dense, half_way
 from scripts.training.photograph_data import SEEN_FROM
 from scripts.training.render_postures import VIEWS, PostureRows

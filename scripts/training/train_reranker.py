@@ -24,21 +24,6 @@ from torch import nn
 from descriptor.silhouette import HEIGHT, WIDTH
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.build.builder import (
-    CALIBRATION_AVATARS,
-    NOT_HELD_OUT,
-    IndexSpec,
-    entries_of,
-    hold_out,
-    simulate_queries,
-    split,
-)
-from index.build.calibrate import Queries, calibrate
-from index.build.garments import make_avatars
-from index.build.motion import read_manifest
-from index.build.noise import degrade
-from index.build.views import MAX_OWN_ROLL_DEG
-from index.build.writer import save_reranker
 from index.confidence import RERANKING_FEATURES
 from index.network import (
     AXES,
@@ -60,6 +45,21 @@ from index.network import (
 from index.reranking import RankingModel
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
+from scripts.index.builder import (
+    CALIBRATION_AVATARS,
+    NOT_HELD_OUT,
+    IndexSpec,
+    entries_of,
+    hold_out,
+    simulate_queries,
+    split,
+)
+from scripts.index.calibrate import Queries, calibrate
+from scripts.index.garments import make_avatars
+from scripts.index.motion import read_manifest
+from scripts.index.noise import degrade
+from scripts.index.views import MAX_OWN_ROLL_DEG
+from scripts.index.writer import save_reranker
 from scripts.results import SHARED
 from scripts.training.held_out import part
 

@@ -23,15 +23,6 @@ from torch import nn
 from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.build.body import Avatar, Retargeting, pose_transforms, retarget
-from index.build.builder import INDEX_AVATARS, hold_out
-from index.build.calibrate import Queries, run_trial
-from index.build.garments import make_avatars
-from index.build.motion import Segment, read_manifest
-from index.build.poses import joints_of, read_poses
-from index.build.simulate import Simulation
-from index.build.views import PosedBodies, RenderedBodies, render_bodies
-from index.build.writer import compress, save_postures
 from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu
 from index.posture import classify_postures
 from index.silhouette_posture import (
@@ -46,6 +37,15 @@ from index.silhouette_posture import (
 )
 from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
+from scripts.index.body import Avatar, Retargeting, pose_transforms, retarget
+from scripts.index.builder import INDEX_AVATARS, hold_out
+from scripts.index.calibrate import Queries, run_trial
+from scripts.index.garments import make_avatars
+from scripts.index.motion import Segment, read_manifest
+from scripts.index.poses import joints_of, read_poses
+from scripts.index.simulate import Simulation
+from scripts.index.views import PosedBodies, RenderedBodies, render_bodies
+from scripts.index.writer import compress, save_postures
 from scripts.metrics import percent
 from scripts.results import SHARED
 from scripts.training.held_out import part

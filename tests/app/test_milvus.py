@@ -16,9 +16,9 @@ from app.main import create_app
 from app.photograph import Estimator
 from app.settings import Settings
 from index.artefact import ArtefactError, load_index
-from index.build.writer import save_index
 from index.search import Neighbours, SearchUnavailableError
 from index.store import PoseIndex
+from scripts.index.writer import save_index
 from tests.conftest import Photo
 from tests.support.service import check_problem, eventually, sample, send
 

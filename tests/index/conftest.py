@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 
 from descriptor.silhouette import is_wide, principal_axis_deg
-from index.build.writer import save_index
 from index.confidence import RERANKING_FEATURES, Calibration, signs
 from index.reranking import RankingModel
 from index.skeleton import camera_rotation, rows, wrap_degrees
 from index.store import PoseIndex
+from scripts.index.writer import save_index
 from tests.conftest import draw_view, index_of_figures, posed_figure
 from tests.index.helpers import random_network
 

@@ -31,10 +31,10 @@ from index.artefact import (
     load_index,
     read_array,
 )
-from index.build.writer import npy_bytes, save_index, save_postures, save_reranker
 from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import ENTRY_DTYPE, PoseIndex
+from scripts.index.writer import npy_bytes, save_index, save_postures, save_reranker
 from tests.index.helpers import contents, random_network, random_postures, seal
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from index.artefact import ArtefactError, load_index
-from index.build.writer import save_index
 from index.search import SearchUnavailableError
 from index.store import PoseIndex
+from scripts.index.writer import save_index
 from tests.conftest import build_tiny_index
 
 pytest.importorskip("milvus_lite", reason="needs the extra milvus")

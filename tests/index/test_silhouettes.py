@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.silhouette import pack, unpack
-from index.build.writer import compress
+from scripts.index.writer import compress
 
 
 @pytest.fixture(scope="module")

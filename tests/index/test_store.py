@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.writer import compress
 from index.search import ExactNeighbours
 from index.store import PoseIndex
+from scripts.index.writer import compress
 
 
 class TestConstruction:

@@ -67,7 +67,6 @@ def test_the_wheel_holds_what_serving_needs_and_no_builder(wheel: Path) -> None:
     assert needed <= names
     folders = {name.split("/")[0] for name in names if ".dist-info/" not in name}
     assert folders == {"app", "descriptor", "index"}
-    assert not any(name.startswith("index/build/") for name in names)
 
 
 def test_the_wheel_serves_like_a_checkout(installed: Server, checkout: Server) -> None:

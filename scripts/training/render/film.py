@@ -13,8 +13,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from index.build.body import about_vertical, pose_transforms, posed_points, retarget
-from index.build.render import skin
+from scripts.index.body import about_vertical, pose_transforms, posed_points, retarget
+from scripts.index.render import skin
 from scripts.training.motions import Motion, Motions, drawn
 from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera, sample_camera

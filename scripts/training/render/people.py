@@ -11,9 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from app.vision.people import LANDMARK_NAMES
-from index.build.body import Avatar, BaseMesh, Phenotype, keypoint_weights, make_avatar, strongest
-from index.build.garments import find_garments, layers_of, read_garment
 from index.skeleton import COCO17
+from scripts.index.body import Avatar, BaseMesh, Phenotype, keypoint_weights, make_avatar, strongest
+from scripts.index.garments import find_garments, layers_of, read_garment
 from scripts.training.render.materials import (
     HAIRS,
     PLAIN,
@@ -233,7 +233,7 @@ def person_materials(materials: Materials, generator: Generator) -> NDArray[np.i
 
 
 AGES = (0.08, 0.2, 0.33, 0.45, 0.6, 0.67, 0.72, 0.72, 0.8, 0.8, 0.9, 0.9, 0.98)
-"""Ages drawn from, as :class:`index.build.body.Phenotype` has them: 0 newborn, 0.33 child."""
+"""Ages drawn from, as :class:`scripts.index.body.Phenotype` has them: 0 newborn, 0.33 child."""
 
 
 def cast(count: int, seed: int, garments: Path, *, held_out: bool) -> list[Person]:

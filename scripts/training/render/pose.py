@@ -10,7 +10,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.judgement import FramePostureName
-from index.build.motion import METRES_PER_UNIT, Clip
+from scripts.index.motion import METRES_PER_UNIT, Clip
 
 Support = Literal["ground", "seat", "cycle"]
 

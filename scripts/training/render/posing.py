@@ -13,11 +13,11 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
-from index.build.body import Avatar, turned_to_front
-from index.build.motion import Clip, read_manifest
-from index.build.poses import Poses, joints_of, read_poses
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+from scripts.index.body import Avatar, turned_to_front
+from scripts.index.motion import Clip, read_manifest
+from scripts.index.poses import Poses, joints_of, read_poses
 from scripts.training.falling import FALLS, FPS, fall_from
 from scripts.training.render.makers import MAKERS, UNRECORDED, Maker
 from scripts.training.render.pose import Bones, Pose

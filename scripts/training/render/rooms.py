@@ -6,7 +6,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from index.build.body import about_vertical
+from scripts.index.body import about_vertical
 from scripts.training.render.furniture import wall_colour
 from scripts.training.render.materials import (
     CELLS,

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.people import LANDMARK_NAMES
-from index.build.body import about_vertical, pose_transforms, posed_points, retarget
-from index.build.poses import TRUNK_BELOW_M
-from index.build.render import skin
 from index.skeleton import JOINT_NAMES, JOINTS, exchange_sides
+from scripts.index.body import about_vertical, pose_transforms, posed_points, retarget
+from scripts.index.poses import TRUNK_BELOW_M
+from scripts.index.render import skin
 from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera, sample_camera
 from scripts.training.render.development import develop

@@ -7,8 +7,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.vision.people import LANDMARK_NAMES
-from index.build.body import about_vertical
 from index.skeleton import JOINT_NAMES
+from scripts.index.body import about_vertical
 from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera
 from scripts.training.render.materials import Materials

@@ -9,8 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.krawtchouk import weighted_polynomials as krawtchouk
 from descriptor.silhouette import HEIGHT, WIDTH
-from index.build.descriptor_learning import view_joints
-from index.build.simulate import Simulation
 from scripts.experiments.paper import (
     COUNTS,
     PUBLISHED,
@@ -35,6 +33,8 @@ from scripts.experiments.paper_descriptors import (
     shape_contexts,
     weighted_polynomials,
 )
+from scripts.index.descriptor_learning import view_joints
+from scripts.index.simulate import Simulation
 from tests.conftest import SHARED
 
 Data = tuple[Simulation, Simulation]

@@ -12,7 +12,7 @@ PAGE = (ROOT / "docs" / "data.md").read_text()
 FREE = {"Apache-2.0", "BSD-3-Clause", "MIT", "CC BY 4.0", "CC0"}
 MODULES = [
     file
-    for folder in ("scripts/training", "index/build")
+    for folder in ("scripts/training", "scripts/index")
     for file in sorted((ROOT / folder).rglob("*.py"))
 ]
 

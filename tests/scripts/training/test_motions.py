@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from index.build.body import (
+from index.posture import POSTURES, classify_postures
+from index.skeleton import BODY_UP, JOINT_NAMES, rows
+from scripts.index.body import (
     Avatar,
     Phenotype,
     make_avatar,
@@ -12,8 +14,6 @@ from index.build.body import (
     posed_points,
     retarget,
 )
-from index.posture import POSTURES, classify_postures
-from index.skeleton import BODY_UP, JOINT_NAMES, rows
 from scripts.training.motions import DAILY, Motions
 from scripts.training.render.makers import ACTIVITY_POSES
 from tests.conftest import SHARED

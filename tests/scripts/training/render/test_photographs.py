@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from app.vision.judgement import FRAME_POSTURES
 from app.vision.people import LANDMARK_NAMES
-from index.build.body import pose_transforms, posed_points, retarget
-from index.build.motion import MotionError
 from index.skeleton import JOINT_NAMES, JOINTS
+from scripts.index.body import pose_transforms, posed_points, retarget
+from scripts.index.motion import MotionError
 from scripts.training.render.makers import lean_on_arm, lunge, plank, squat_wide, stand_on_one_leg
 from scripts.training.render.materials import Materials
 from scripts.training.render.people import MIRRORED, split_of

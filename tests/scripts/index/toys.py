@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.body import INFLUENCES, Avatar
-from index.build.motion import METRES_PER_UNIT
+from scripts.index.body import INFLUENCES, Avatar
+from scripts.index.motion import METRES_PER_UNIT
 
 # Bone, its parent, where it starts from there (metres; BVH files have CMU's unit).
 # The zero pose of CMU's clips: arms straight out, legs a little apart.

@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 from descriptor.descriptor import DiagonalDescriptor
-from index.build.body import Avatar
-from index.build.motion import Segment
-from index.build.poses import Poses, lay_down, merged, read_poses
-from index.build.simulate import Simulation, simulate
 from index.confidence import Calibration
 from index.search import ExactNeighbours
 from index.store import PoseIndex
+from scripts.index.body import Avatar
+from scripts.index.motion import Segment
+from scripts.index.poses import Poses, lay_down, merged, read_poses
+from scripts.index.simulate import Simulation, simulate
+from scripts.index.writer import save_index
 from tests.conftest import SHARED
-from tests.index.build.toys import box_avatar, walk, write_clip
+from tests.scripts.index.toys import box_avatar, walk, write_clip
 
 
 @pytest.fixture(scope="session")
@@ -78,6 +79,14 @@ def index_of(simulation: Simulation, name: str = "toy") -> PoseIndex:
 def body_index(simulation: Simulation) -> PoseIndex:
     """An index of 576 silhouettes of box bodies."""
     return index_of(simulation)
+
+
+@pytest.fixture
+def saved(body_index: PoseIndex, tmp_path: Path) -> Path:
+    """The index of box bodies, stored."""
+    folder = tmp_path / "artefact"
+    save_index(body_index, folder)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from index.build.views import DISTANCES_M, ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
+from scripts.index.views import DISTANCES_M, ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG, sample_views
 
 
 @pytest.mark.parametrize("elevations_deg", [ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG])

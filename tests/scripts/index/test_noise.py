@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from index.build.descriptor_learning import view_joints
-from index.build.noise import degrade, degrade_all
-from index.build.simulate import Simulation
+from scripts.index.descriptor_learning import view_joints
+from scripts.index.noise import degrade, degrade_all
+from scripts.index.simulate import Simulation
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.body import (
+from index.posture import POSTURES, classify_postures
+from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+from scripts.index.body import (
     Avatar,
     about_vertical,
     pose_transforms,
@@ -23,9 +25,7 @@ from index.build.body import (
     retarget,
     turned_to_front,
 )
-from index.build.motion import Clip, MotionError, Segment, read_clip, read_rig
-from index.posture import POSTURES, classify_postures
-from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
+from scripts.index.motion import Clip, MotionError, Segment, read_clip, read_rig
 
 # Tilt of the trunk up to which a frame counts as upright.
 _UPRIGHT_WITHIN_DEG = 25.0
@@ -106,7 +106,7 @@ class Poses:
     actions: tuple[str, ...]
     action: NDArray[np.int64]  # (P,): position in ``actions``
     # (P,): turn about the body's long axis of poses laid down, see
-    # :func:`index.build.poses.laid_down`; NaN for those that stay as they were recorded.
+    # :func:`scripts.index.poses.laid_down`; NaN for those that stay as they were recorded.
     lying_deg: NDArray[np.float64]
 
     def __len__(self) -> int:

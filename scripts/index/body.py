@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.motion import Clip
 from index.skeleton import FACE_NAMES, JOINT_NAMES
+from scripts.index.motion import Clip
 
 BONE_OF_JOINT = {
     "pelvis": "Hips", "spine": "Spine", "chest": "Spine1", "neck": "Neck", "head": "Head",

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from index.build.body import Avatar, retarget
-from index.build.motion import (
+from scripts.index.body import Avatar, retarget
+from scripts.index.motion import (
     CMU,
     MANIFESTS,
     METRES_PER_UNIT,
@@ -21,8 +21,8 @@ from index.build.motion import (
     read_manifest,
     read_rig,
 )
-from index.build.poses import joints_of, read_poses
-from tests.index.build.toys import Angles, walk, write_clip
+from scripts.index.poses import joints_of, read_poses
+from tests.scripts.index.toys import Angles, walk, write_clip
 
 HEADER = "clip,subject,action,start_frame,end_frame,fps,description\n"
 

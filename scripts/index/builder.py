@@ -13,19 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor, DiagonalDescriptor
-from index.build.body import Avatar, Phenotype
-from index.build.calibrate import Queries, calibrate
-from index.build.descriptor_learning import learn_descriptor
-from index.build.garments import Wardrobe, make_avatars
-from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.poses import Poses, farthest_points, joints_of, lay_down, merged, read_poses
-from index.build.simulate import Simulation, simulate
-from index.build.writer import halved
 from index.confidence import Calibration
 from index.posture import LOW, POSTURES, classify_postures
 from index.search import STEPS_PER_UNIT, ExactNeighbours
 from index.skeleton import BODY_UP
 from index.store import PoseIndex
+from scripts.index.body import Avatar, Phenotype
+from scripts.index.calibrate import Queries, calibrate
+from scripts.index.descriptor_learning import learn_descriptor
+from scripts.index.garments import Wardrobe, make_avatars
+from scripts.index.motion import MANIFESTS, Segment, read_manifest
+from scripts.index.poses import Poses, farthest_points, joints_of, lay_down, merged, read_poses
+from scripts.index.simulate import Simulation, simulate
+from scripts.index.writer import halved
 
 log = logging.getLogger(__name__)
 

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, is_wide, pack, principal_axis_deg
-from index.build.body import Avatar, posed_points
-from index.build.render import render, skin
 from index.posture import POSTURES, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, POINTS, camera_rotation, wrap_degrees
 from index.store import ENTRY_DTYPE
+from scripts.index.body import Avatar, posed_points
+from scripts.index.render import render, skin
 
 VIEW_DTYPE = np.dtype(
     [("azimuth_deg", "<f4"), ("elevation_deg", "<f4"), ("roll_deg", "<f4"), ("distance", "<f4")]
@@ -72,7 +72,7 @@ class PosedBodies(NamedTuple):
     numbers : (N,) int64 array
         Their numbers in the simulation, which decide the cameras.
     transforms : (N, B, 3, 4) float64 array
-        Transforms of the bones; see :func:`index.build.body.pose_transforms`.
+        Transforms of the bones; see :func:`scripts.index.body.pose_transforms`.
     foreshortened : (N,) bool array
         Bodies seen along the trunk only.
     """

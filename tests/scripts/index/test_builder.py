@@ -10,8 +10,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from index.artefact import load_index
-from index.build.body import Avatar
-from index.build.builder import (
+from index.posture import LOW, POSTURES, classify_postures
+from scripts.index.body import Avatar
+from scripts.index.builder import (
     LAID_DOWN_SHARE,
     LOW_SHARE,
     Plan,
@@ -23,11 +24,10 @@ from index.build.builder import (
     split_by_clip,
     spread,
 )
-from index.build.motion import MANIFESTS, Segment, read_manifest
-from index.build.poses import LYING_SIDES, Poses, joints_of, read_poses
-from index.build.simulate import Simulation
-from index.posture import LOW, POSTURES, classify_postures
-from tests.index.build.toys import walk, write_clip
+from scripts.index.motion import MANIFESTS, Segment, read_manifest
+from scripts.index.poses import LYING_SIDES, Poses, joints_of, read_poses
+from scripts.index.simulate import Simulation
+from tests.scripts.index.toys import walk, write_clip
 from tests.support.programs import output_of
 
 

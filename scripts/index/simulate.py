@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
-from index.build.body import Avatar, Retargeting, pose_transforms, retarget
-from index.build.poses import Poses
-from index.build.views import PosedBodies, render_bodies
-from index.build.writer import compress
 from index.silhouettes import PACKED_BYTES, Silhouettes
 from index.skeleton import POINTS
 from index.store import ENTRY_DTYPE, SKELETON_DTYPE
+from scripts.index.body import Avatar, Retargeting, pose_transforms, retarget
+from scripts.index.poses import Poses
+from scripts.index.views import PosedBodies, render_bodies
+from scripts.index.writer import compress
 
 BLOCK = 4096
 """Silhouettes unpacked and described at a time."""

@@ -10,16 +10,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from tqdm import tqdm
 
-from index.build.descriptor_learning import view_joints
-from index.build.noise import degrade_all
-from index.build.simulate import Simulation
-from index.build.views import MAX_OWN_ROLL_DEG
 from index.confidence import FEATURES, RERANKING_FEATURES, RIGHT_BELOW_PX, Calibration, signs
 from index.matching import DEFAULT_HYPOTHESES, votes_of
 from index.posture import POSTURES
 from index.silhouette_matching import match_silhouette
 from index.skeleton import JOINTS, LIMB_ROWS, exchange_sides, rotate_clockwise
 from index.store import PoseIndex
+from scripts.index.descriptor_learning import view_joints
+from scripts.index.noise import degrade_all
+from scripts.index.simulate import Simulation
+from scripts.index.views import MAX_OWN_ROLL_DEG
 
 log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ class Queries:
         return cls(simulation.silhouettes(slice(None)), joints_2d, joints_3d, roll_deg)
 
     def degraded(self, seed: int) -> Queries:
-        """The same queries with the faults of photographs; see :mod:`index.build.noise`."""
+        """The same queries with the faults of photographs; see :mod:`scripts.index.noise`."""
         silhouettes, joints_2d = degrade_all(
             self.silhouettes, self.joints_2d, np.random.default_rng(seed)
         )

@@ -11,12 +11,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import is_wide, principal_axis_deg
-from index.build.body import Avatar
-from index.build.descriptor_learning import view_joints
-from index.build.poses import Poses, joints_of, merged
-from index.build.simulate import Simulation, bounded_map, simulate
-from index.build.views import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 from index.skeleton import JOINT_NAMES
+from scripts.index.body import Avatar
+from scripts.index.descriptor_learning import view_joints
+from scripts.index.poses import Poses, joints_of, merged
+from scripts.index.simulate import Simulation, bounded_map, simulate
+from scripts.index.views import ELEVATIONS_DEG, GROUND_ELEVATIONS_DEG
 
 
 def assert_same(one: Simulation, other: Simulation) -> None:
@@ -34,7 +34,7 @@ def test_same_bytes_on_any_number_of_cores_in_tasks_of_any_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(os, "cpu_count", lambda: cores)
-    monkeypatch.setattr("index.build.simulate.BATCH", batch)
+    monkeypatch.setattr("scripts.index.simulate.BATCH", batch)
     again = simulate(poses, avatars, bodies=1, views=12, seed=7)
     assert_same(again, simulation)
 

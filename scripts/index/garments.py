@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from index.build.body import Avatar, BaseMesh, Phenotype, compact, make_avatar, strongest
+from scripts.index.body import Avatar, BaseMesh, Phenotype, compact, make_avatar, strongest
 
 DECIMETRE = 0.1
 """MakeHuman's unit, in metres."""

@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.build.body import Avatar, facing_yaw
-from index.build.motion import Clip, MotionError, Segment
-from index.build.poses import (
+from index.posture import POSTURES, classify_postures
+from index.skeleton import JOINT_NAMES, NATIVE
+from scripts.index.body import Avatar, facing_yaw
+from scripts.index.motion import Clip, MotionError, Segment
+from scripts.index.poses import (
     LYING_SIDES,
     MIN_UPRIGHT_FRAMES,
     TRUNK_BELOW_M,
@@ -26,9 +28,7 @@ from index.build.poses import (
     side_of,
     with_level_heads,
 )
-from index.posture import POSTURES, classify_postures
-from index.skeleton import JOINT_NAMES, NATIVE
-from tests.index.build.toys import walk, write_clip
+from tests.scripts.index.toys import walk, write_clip
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:

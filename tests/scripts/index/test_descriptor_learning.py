@@ -4,11 +4,11 @@ import numpy as np
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
-from index.build.body import Avatar
-from index.build.descriptor_learning import learn_descriptor, view_joints
-from index.build.poses import Poses
-from index.build.simulate import Simulation, simulate
 from index.skeleton import JOINTS
+from scripts.index.body import Avatar
+from scripts.index.descriptor_learning import learn_descriptor, view_joints
+from scripts.index.poses import Poses
+from scripts.index.simulate import Simulation, simulate
 
 
 def test_same_simulation_same_projection(simulation: Simulation) -> None:

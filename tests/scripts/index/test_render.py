@@ -7,10 +7,10 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from descriptor.silhouette import HEIGHT, WIDTH, normalise
-from index.build.body import Avatar, pose_transforms, retarget
-from index.build.poses import Poses
-from index.build.render import render, skin
 from index.skeleton import camera_rotation, project
+from scripts.index.body import Avatar, pose_transforms, retarget
+from scripts.index.poses import Poses
+from scripts.index.render import render, skin
 
 VIEWS = [(0, 0, 0), (35, 20, 5), (120, 55, -4), (250, -5, 0), (300, 80, 30)]
 

@@ -20,15 +20,15 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 
 from descriptor.descriptor import DiscriminantDescriptor, moment_block
-from index.build.noise import degrade_all
-from index.build.simulate import BLOCK, Simulation
 from index.skeleton import JOINTS, camera_rotation, project
+from scripts.index.noise import degrade_all
+from scripts.index.simulate import BLOCK, Simulation
 
 Faults = Callable[
     [NDArray[np.uint8], NDArray[np.floating], np.random.Generator],
     tuple[NDArray[np.uint8], NDArray[np.floating]],
 ]
-"""Degrades silhouettes and moves their joints, as :func:`index.build.noise.degrade_all` does."""
+"""Degrades silhouettes and moves their joints, as :func:`scripts.index.noise.degrade_all` does."""
 
 # Silhouettes whose nearest skeletons are searched, and nearest skeletons of each.
 _ANCHORS, _NEAREST = 20_000, 5

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.build.body import (
+from index.skeleton import JOINT_NAMES, NATIVE
+from scripts.index.body import (
     Avatar,
     compact,
     facing_yaw,
@@ -20,10 +21,9 @@ from index.build.body import (
     rotation_between,
     turned_to_front,
 )
-from index.build.motion import Clip, read_clip
-from index.build.poses import Poses
-from index.skeleton import JOINT_NAMES, NATIVE
-from tests.index.build.toys import Angles, write_clip
+from scripts.index.motion import Clip, read_clip
+from scripts.index.poses import Poses
+from tests.scripts.index.toys import Angles, write_clip
 
 directions = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
 

@@ -13,14 +13,14 @@ from numpy.testing import assert_array_equal
 from descriptor.silhouette import outline_distances, pack
 from index import DEFAULT_PATH
 from index.artefact import ArtefactError, load_index
-from index.build.writer import check_replaceable, compress, halved, save_index
 from index.store import PoseIndex
+from scripts.index.writer import check_replaceable, compress, halved, save_index
 from tests.index.helpers import contents, seal
 from tests.support.programs import run
 
 
 class TestReplacing:
-    def test_replaces_an_older_artefact_whole(self, toy_index: PoseIndex, saved: Path) -> None:
+    def test_replaces_an_older_artefact_whole(self, body_index: PoseIndex, saved: Path) -> None:
         for name in ("reranking.json", "reranking.npz", "of-another-format.npy.xz"):
             (saved / name).write_text("of the older index")
         seal(saved, lambda m: m.update(format_version=3, files={"of-another-format.npy": ""}))
@@ -28,7 +28,7 @@ class TestReplacing:
             if not file.name.startswith("of-another-format"):
                 file.unlink()
         (saved / "descriptors.faiss.xz").unlink()
-        save_index(dataclasses.replace(toy_index, name="newer"), saved)
+        save_index(dataclasses.replace(body_index, name="newer"), saved)
         assert load_index(saved).name == "newer"
         assert not (saved / "of-another-format.npy.xz").exists()
         assert not (saved / "reranking.json").exists()
@@ -38,9 +38,9 @@ class TestReplacing:
         assert (DEFAULT_PATH / "postures.npz").exists()
         check_replaceable(DEFAULT_PATH)
 
-    def test_a_link_stays_a_link(self, toy_index: PoseIndex, saved: Path, tmp_path: Path) -> None:
+    def test_a_link_stays_a_link(self, body_index: PoseIndex, saved: Path, tmp_path: Path) -> None:
         (tmp_path / "current").symlink_to(saved)
-        save_index(dataclasses.replace(toy_index, name="newer"), tmp_path / "current")
+        save_index(dataclasses.replace(body_index, name="newer"), tmp_path / "current")
         assert (tmp_path / "current").is_symlink()
         assert load_index(saved).name == "newer"
 
@@ -68,25 +68,25 @@ class TestWhatIsNoIndex:
         "manifest", [None, "{", "[]", '{"files": {}}', '{"name": "a web application"}']
     )
     def test_photographs(
-        self, toy_index: PoseIndex, photographs: Path, manifest: str | None
+        self, body_index: PoseIndex, photographs: Path, manifest: str | None
     ) -> None:
         if manifest is not None:
             (photographs / "manifest.json").write_text(manifest)
-        self.refused(toy_index, photographs, "3 other" if manifest is None else "4 other", "0.jpg")
+        self.refused(body_index, photographs, "3 other" if manifest is None else "4 other", "0.jpg")
 
-    def test_photographs_in_an_index(self, toy_index: PoseIndex, saved: Path) -> None:
+    def test_photographs_in_an_index(self, body_index: PoseIndex, saved: Path) -> None:
         (saved / "holiday.jpg").write_bytes(b"sun")
-        self.refused(toy_index, saved, "holds 1 other file, such as holiday.jpg")
+        self.refused(body_index, saved, "holds 1 other file, such as holiday.jpg")
 
-    def test_a_file(self, toy_index: PoseIndex, tmp_path: Path) -> None:
+    def test_a_file(self, body_index: PoseIndex, tmp_path: Path) -> None:
         file = tmp_path / "notes.txt"
         file.write_text("mine")
         with pytest.raises(ArtefactError, match=r"got the file .*notes\.txt"):
-            save_index(toy_index, file)
+            save_index(body_index, file)
         assert file.read_text() == "mine"
 
     def test_what_is_put_there_while_it_is_written(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+        self, body_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         write_text = Path.write_text
 
@@ -96,7 +96,7 @@ class TestWhatIsNoIndex:
 
         monkeypatch.setattr(Path, "write_text", write_and_copy)
         with pytest.raises(ArtefactError, match=r"holiday\.jpg"):
-            save_index(toy_index, saved)
+            save_index(body_index, saved)
         assert (saved / "holiday.jpg").read_bytes() == b"sun"
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
@@ -104,18 +104,18 @@ class TestWhatIsNoIndex:
 class TestFailedSave:
     @pytest.mark.parametrize("written", ["write_text", "write_bytes"])
     def test_leaves_what_was_there(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch, written: str
+        self, body_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch, written: str
     ) -> None:
         before = contents(saved)
         monkeypatch.setattr(Path, written, _full_disk)
         for folder in (saved, saved.parent / "fresh"):
             with pytest.raises(OSError, match="No space left"):
-                save_index(dataclasses.replace(toy_index, name="newer"), folder)
+                save_index(dataclasses.replace(body_index, name="newer"), folder)
         assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
     def test_keeps_the_old_artefact_when_the_last_rename_fails(
-        self, toy_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
+        self, body_index: PoseIndex, saved: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         before = contents(saved)
         rename = Path.rename
@@ -127,7 +127,7 @@ class TestFailedSave:
 
         monkeypatch.setattr(Path, "rename", fail_for_the_new)
         with pytest.raises(OSError, match="Input/output error"):
-            save_index(dataclasses.replace(toy_index, name="newer"), saved)
+            save_index(dataclasses.replace(body_index, name="newer"), saved)
         assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
@@ -136,7 +136,7 @@ class TestFailedSave:
         script = f"""
 import dataclasses, os, pathlib, signal
 from index.artefact import find_artefact, load_index
-from index.build.writer import save_index
+from scripts.index.writer import save_index
 index = load_index({str(saved)!r})
 pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
 save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
@@ -160,7 +160,7 @@ def test_silhouettes_compress_block_by_block(
     noise: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = compress(noise)
-    monkeypatch.setattr("index.build.writer._BLOCK", 30)
+    monkeypatch.setattr("scripts.index.writer._BLOCK", 30)
     blocks = compress(noise)
     for field in ("data", "ends", "dictionary"):
         assert_array_equal(getattr(blocks, field), getattr(whole, field))

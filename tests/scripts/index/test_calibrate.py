@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.calibrate import (
+from index.posture import POSTURES
+from index.skeleton import JOINTS, camera_rotation
+from index.store import PoseIndex
+from scripts.index.calibrate import (
     Queries,
     Trial,
     calibration_floor,
     expected_calibration_error,
     run_trial,
 )
-from index.build.simulate import Simulation
-from index.build.views import MAX_OWN_ROLL_DEG
-from index.posture import POSTURES
-from index.skeleton import JOINTS, camera_rotation
-from index.store import PoseIndex
+from scripts.index.simulate import Simulation
+from scripts.index.views import MAX_OWN_ROLL_DEG
 
 
 def test_calibration_error_is_zero_where_confidence_is_the_share_of_right_answers() -> None:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.build.body import Avatar, BaseMesh
-from index.build.garments import GarmentError, dress, find_garments, fit, read_garment
+from scripts.index.body import Avatar, BaseMesh
+from scripts.index.garments import GarmentError, dress, find_garments, fit, read_garment
 
 MHCLO = """\
 # a patch on a base mesh of eight vertices
