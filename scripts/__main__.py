@@ -16,7 +16,6 @@ COMMANDS = {
         "scripts.training.train_silhouette_postures",
         "train the postures of silhouettes alone",
     ),
-    "train-actions": ("scripts.training.train_actions", "train the model of actions"),
     "train-elevation": (
         "scripts.training.train_elevation",
         "train the network of camera elevations",
@@ -75,15 +74,11 @@ COMMANDS = {
     "mutants": ("scripts.mutants", "break the code a line at a time; print what no test notices"),
     "debug-frame": ("scripts.debug_frame", "draw every step of one photograph"),
     "openapi": ("scripts.openapi", "write openapi.json"),
-    "convert": ("scripts.convert", "convert the published networks to those of the service"),
     "pictures": ("scripts.pictures", "draw the pictures of the documents"),
     "track-video": ("scripts.track_video", "annotate a video with tracked people"),
 }
 """Module with ``main(arguments)``, imported only when its command runs, and a line about it."""
 
-
-MOVED = {"watch-camera": "`silhouette-pose-watch` or `python -m app.bridge`"}
-"""Commands of the last release and where they went."""
 
 _SMALLER = {
     "track_video": (".venv", ".venv/.stamp"),
@@ -100,9 +95,6 @@ def main(arguments: Sequence[str]) -> int:
     if name in ("-h", "--help"):
         print(usage())
         return 0
-    if name in MOVED:
-        print(f"scripts: {name} is now {MOVED[name]}", file=sys.stderr)
-        return 2
     if name not in COMMANDS:
         print(f"scripts: expected a command, got {name!r}\n\n{usage()}", file=sys.stderr)
         return 2

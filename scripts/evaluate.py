@@ -8,9 +8,6 @@
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate films        all real films as camera sessions: falls, false alarms
-    python -m scripts evaluate background   people as differences from a picture of the empty scene
-    python -m scripts evaluate tiles        small people, with and without POSE_MIN_PERSON_PX
-    python -m scripts evaluate actions      actions, postures and falls of tracks
     python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
 Without a name, all of them run.
@@ -34,9 +31,6 @@ EXPERIMENTS = {
     "people": "people",
     "photographs": "photographs",
     "films": "films",
-    "background": "background",
-    "tiles": "tiles",
-    "actions": "actions",
     "tracking": "tracking",
 }
 """Page of each experiment. Its module in ``scripts.experiments`` is imported only when it runs; it

@@ -41,7 +41,7 @@ def test_every_command_is_there(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", ["pictures people", "evaluate real", "evaluate people", "evaluate actions"]
+    "command", ["pictures people", "evaluate real", "evaluate people", "evaluate tracking"]
 )
 def test_without_data(command: str, tmp_path: Path) -> None:
     name, *names = command.split()
