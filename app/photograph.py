@@ -14,7 +14,7 @@ from app.decoding.workers import Workers
 from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
-from app.estimation.posture import as_standing, likeliest_posture, shares_of
+from app.estimation.posture import as_standing, likeliest_posture
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.networks.dense import shipped_network
@@ -40,6 +40,7 @@ from index.artefact import load_index
 from index.landmark_matching import match_landmarks
 from index.matching import DEFAULT_HYPOTHESES, Match
 from index.nearest import match_nearest
+from index.posture import LANDMARK_GROUPS
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 
@@ -284,7 +285,7 @@ def fit_poses(
     if not normalised.feet_visible:  # Nothing shows whether a person upright walks.
         shares = as_standing(shares)
     if person.frame_posture is not None:
-        shares = shares_of(person.frame_posture, shares)
+        shares = LANDMARK_GROUPS.split(person.frame_posture.probabilities, shares)
     posture = likeliest_posture(shares, presence, max(confidences))
     points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
     placed = place_skeletons(

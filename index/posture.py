@@ -1,4 +1,4 @@
-"""The posture of a skeleton, by rules on its geometry.
+"""The postures that answers name, and the posture of a skeleton, by rules on its geometry.
 
 Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
 in the order of the table in ``docs/index.md``; the first that holds decides. The posture of a
@@ -29,6 +29,56 @@ ON_THE_GROUND: tuple[PostureName, ...] = ("lying", "crawling")
 
 LOW: tuple[PostureName, ...] = ("sitting", "crouching", "kneeling", "crawling", "lying")
 """Postures without straight legs to stand on."""
+
+# What landmarks, and what silhouettes distinguish of each posture; only votes of hypotheses
+# distinguish the rest.
+_DISTINGUISHED = {
+    "standing": ("standing", "upright"),
+    "walking": ("standing", "upright"),
+    "running": ("standing", "upright"),
+    "sitting": ("sitting", "sitting"),
+    "crouching": ("crouching", "crouching"),
+    "kneeling": ("crouching", "kneeling"),
+    "bending": ("bending", "bending"),
+    "arms_raised": ("standing", "upright"),
+    "crawling": ("all_fours", "crawling"),
+    "lying": ("lying", "lying"),
+}
+
+# Added to the votes for each posture of a group before the group is split by them.
+_MIN_VOTE = 1e-3
+
+
+class PostureGroups:
+    """Groups of :data:`POSTURES`, in the order in which the outputs of a network name them."""
+
+    def __init__(self, column: int, *names: str) -> None:
+        self.names = names
+        groups = [_DISTINGUISHED[posture][column] for posture in POSTURES]
+        self.of = np.array([names.index(group) for group in groups])
+        """Position ``(10,)`` in :attr:`names` of the group of each posture."""
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def sums(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums ``(..., G)`` of shares ``(..., 10)`` of :data:`POSTURES`."""
+        return np.asarray(shares @ (self.of[:, None] == np.arange(len(self))))
+
+    def split(
+        self, grouped: NDArray[np.float64], votes: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Shares ``(10,)`` of postures, from those of groups ``(G,)`` and votes ``(10,)``."""
+        within = votes + _MIN_VOTE
+        return np.asarray((grouped / self.sums(within))[self.of] * within)
+
+
+LANDMARK_GROUPS = PostureGroups(
+    0, "standing", "bending", "crouching", "sitting", "all_fours", "lying"
+)
+SILHOUETTE_GROUPS = PostureGroups(
+    1, "upright", "bending", "crouching", "kneeling", "sitting", "crawling", "lying"
+)
 
 MIN_WALKING_SPEED_M_S, MIN_RUNNING_SPEED_M_S = 0.5, 2.2
 """Least horizontal speeds of walking and of running people."""

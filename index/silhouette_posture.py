@@ -15,21 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.network import HIDDEN, QUANT_MAX, Array, Layer, quantised_relu, stored_layers
-from index.posture import POSTURES, UPRIGHT, PostureName
-
-KINDS: tuple[tuple[PostureName, ...], ...] = (
-    UPRIGHT, ("bending",), ("crouching",), ("kneeling",), ("sitting",), ("crawling",), ("lying",),
-)  # fmt: skip
-"""Postures that a silhouette distinguishes; only votes split the upright ones."""
-
-KIND_OF = np.array([[p in kind for kind in KINDS].index(True) for p in POSTURES])
-"""Position ``(10,)`` in :data:`KINDS` of each of ``POSTURES``."""
+from index.posture import SILHOUETTE_GROUPS
 
 INPUTS, UNITS = HIDDEN + 2, 128
 """Inputs, see :func:`posture_inputs`, and width of the layer between."""
 
 MIN_VOTE = 0.01
-"""Added to the share of the votes that each of :data:`KINDS` has."""
+"""Added to the share of the votes that each of ``SILHOUETTE_GROUPS`` has."""
 
 
 def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Array:
@@ -48,16 +40,16 @@ def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Arr
 class PostureNetwork:
     """The network and the weight of the logarithms of votes."""
 
-    layers: tuple[Layer, Layer]  # the layer between, and logits of :data:`KINDS`
+    layers: tuple[Layer, Layer]  # the layer between, and logits of ``SILHOUETTE_GROUPS``
     vote_weight: float
 
     def __post_init__(self) -> None:
         shapes = [layer.weights.shape for layer in self.layers]
-        if shapes != [(INPUTS, UNITS), (UNITS, len(KINDS))]:
+        if shapes != [(INPUTS, UNITS), (UNITS, len(SILHOUETTE_GROUPS))]:
             raise ValueError(f"expected a network of postures, got layers of shapes {shapes}")
 
     def logits(self, hidden: Array, roll_deg: float) -> NDArray[np.float64]:
-        """Logits ``(7,)`` of :data:`KINDS`, without votes."""
+        """Logits ``(7,)`` of ``SILHOUETTE_GROUPS``, without votes."""
         between, output = self.layers
         return output(quantised_relu(between(posture_inputs(hidden, roll_deg)))).astype(np.float64)
 
@@ -68,12 +60,10 @@ class PostureNetwork:
 
         ``roll_deg`` is not 0 if the silhouette was rotated upright.
         """
-        of_kinds = votes_of_kinds(votes)
-        logits = self.logits(hidden, roll_deg) + self.vote_weight * np.log(of_kinds + MIN_VOTE)
+        of_groups = SILHOUETTE_GROUPS.sums(votes)
+        logits = self.logits(hidden, roll_deg) + self.vote_weight * np.log(of_groups + MIN_VOTE)
         probabilities = np.exp(logits - logits.max())
-        probabilities /= probabilities.sum()
-        within = (votes + 1e-9) / (of_kinds + 1e-9 * np.bincount(KIND_OF))[KIND_OF]
-        return np.asarray(probabilities[KIND_OF] * within)
+        return SILHOUETTE_GROUPS.split(probabilities / probabilities.sum(), votes)
 
     @classmethod
     def restore(cls, arrays: Mapping[str, NDArray[np.generic]]) -> PostureNetwork:
@@ -84,8 +74,3 @@ class PostureNetwork:
     def arrays(self) -> dict[str, NDArray[np.generic]]:
         """The weight and the layers as they are stored; see :func:`index.network.stored_layers`."""
         return {"vote_weight": np.array(self.vote_weight)} | stored_layers(self.layers)
-
-
-def votes_of_kinds(votes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums ``(..., 7)`` of shares ``(..., 10)`` by :data:`KINDS`."""
-    return np.stack([votes[..., kind == KIND_OF].sum(-1) for kind in range(len(KINDS))], -1)

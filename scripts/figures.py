@@ -28,8 +28,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from index.posture import LOW
-from index.silhouette_posture import KINDS
+from index.posture import LOW, SILHOUETTE_GROUPS
 from scripts.results import RESULTS, ROOT, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -218,7 +217,7 @@ def named(key: str) -> str:
 def _confusions(figures: Figures) -> str:
     """Return tables of counts: truth in rows, answers in columns; empty rows are left out."""
     if "posture_confusion" in figures:
-        names = ["upright", *(name for kind in KINDS[1:] for name in kind), "unclear"]
+        names = [*SILHOUETTE_GROUPS.names, "unclear"]
         return _counts(names, figures["posture_confusion"])
     compared = figures.get("votes", figures.get("sequences"))
     if not isinstance(compared, dict):

@@ -17,16 +17,7 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture
-from index.posture import POSTURES, UPRIGHT, PostureName
-
-_UPRIGHT = np.isin(POSTURES, UPRIGHT)
-_HELD = [
-    np.isin(POSTURES, members)
-    for members in (
-        UPRIGHT, ("bending",), ("crouching", "kneeling"), ("sitting",), ("crawling",), ("lying",),
-    )
-]  # fmt: skip
-"""For each of :data:`app.vision.judgement.FRAME_POSTURES`, the ``POSTURES`` it includes."""
+from index.posture import LANDMARK_GROUPS, POSTURES, PostureName
 
 MIN_PROBABILITY = 0.5
 """Probability from which a posture is reported; below it, the label is ``unclear``."""
@@ -34,9 +25,6 @@ MIN_PROBABILITY = 0.5
 # Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
 # above 0.8 from a confidence of 0.2.
 _CONFIDENCE_SLOPE = 1.5
-
-# Share of a posture that no hypothesis votes for.
-_MIN_VOTE = 1e-3
 
 PostureLabel = PostureName | Literal["unclear"]
 """``unclear`` if the probability of the likeliest posture is too small."""
@@ -58,37 +46,11 @@ class EstimatedPosture:
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
-def with_upright_votes(
-    shares: NDArray[np.float64], votes: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Shares ``(10,)`` of a silhouette, with the upright share split by other votes ``(10,)``."""
-    within = np.where(_UPRIGHT, votes + _MIN_VOTE, 0.0)
-    return np.where(_UPRIGHT, shares[_UPRIGHT].sum() * within / within.sum(), shares)
-
-
 def as_standing(shares: NDArray[np.float64]) -> NDArray[np.float64]:
     """The same shares ``(10,)``, with walking and running added to standing."""
     moving = np.isin(POSTURES, ("walking", "running"))
     standing = np.array([posture == "standing" for posture in POSTURES])
     return np.where(moving, 0.0, shares + standing * shares[moving].sum())
-
-
-def shares_of(frame_posture: FramePosture, votes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Shares ``(10,)`` of ``POSTURES``: from the landmarks, split by the votes of hypotheses.
-
-    Landmarks distinguish six postures. Only the votes distinguish standing from walking, running
-    and raised arms, and crouching from kneeling.
-    """
-    shares = np.zeros(len(POSTURES))
-    for probability, members in zip(frame_posture.probabilities, _HELD, strict=True):
-        within = np.where(members, votes + _MIN_VOTE, 0.0)
-        shares += probability * within / within.sum()
-    return shares
-
-
-def frame_shares(shares: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Sums ``(6,)`` of shares ``(10,)`` by :data:`app.vision.judgement.FRAME_POSTURES`."""
-    return np.array([float(shares[members].sum()) for members in _HELD])
 
 
 def likeliest_posture(
@@ -148,7 +110,10 @@ class PostureFilter:
         if frame_posture is not None:
             # If the network does not recognise the person, only the shape of the box shows lying.
             lying = self._wide(box) * _LYING
-            shares = presence * shares_of(frame_posture, votes) + (1 - presence) * lying
+            shares = (
+                presence * LANDMARK_GROUPS.split(frame_posture.probabilities, votes)
+                + (1 - presence) * lying
+            )
             shares = shares + (1 - shares.sum()) * votes
         if self._shares is None:
             self._shares, self._presence = shares, presence

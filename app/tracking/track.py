@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from app.estimation.posture import (
     EstimatedPosture,
     PostureFilter,
-    frame_shares,
-    with_upright_votes,
 )
 from app.estimation.results import Facing, FacingSource, Person
 from app.tracking.actions import ActionRecogniser, PoseSample
@@ -30,7 +28,15 @@ from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
-from index.posture import POSTURES, PostureName, camera_up, classify_postures, vote_posture
+from index.posture import (
+    LANDMARK_GROUPS,
+    POSTURES,
+    SILHOUETTE_GROUPS,
+    PostureName,
+    camera_up,
+    classify_postures,
+    vote_posture,
+)
 
 # With landmarks: the probability of a person from which a track counts as one.
 _MIN_PROBABILITY = 0.9
@@ -219,7 +225,8 @@ class Track:
         elif smoothed is not None:
             votes = smoothed.votes
             if person.posture is not None and person.frame_posture is None:
-                votes = with_upright_votes(person.posture.shares, votes)
+                sums = SILHOUETTE_GROUPS.sums(person.posture.shares)
+                votes = SILHOUETTE_GROUPS.split(sums, votes)
             sample = PoseSample.of(timestamp, smoothed.pose, motion.elevation_deg)
         self._posture, shares = self._posture_filter.update(
             timestamp,
@@ -349,7 +356,7 @@ def _observation(
     """
     if person.frame_posture is None or person.landmarks is None:
         return Observation(
-            person.box, frame_shape, frame_shares(shares), confidence, covered=covered
+            person.box, frame_shape, LANDMARK_GROUPS.sums(shares), confidence, covered=covered
         )
     return Observation.of(person, frame_shape, covered)
 

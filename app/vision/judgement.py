@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from app.vision.depth import HIPS, Body3D, DepthModel, body_of
 from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
+from index.posture import LANDMARK_GROUPS
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,7 @@ class Trust:
     right: float
 
 
-FramePostureName = Literal["standing", "bending", "crouching", "sitting", "all_fours", "lying"]
-
-FRAME_POSTURES: tuple[FramePostureName, ...] = get_args(FramePostureName)
-"""Standing includes walking, running and raised arms; crouching includes kneeling."""
+FRAME_POSTURES = LANDMARK_GROUPS.names
 
 
 @dataclass(frozen=True)
@@ -51,7 +48,7 @@ class FramePosture:
         if self.probabilities.shape != (len(FRAME_POSTURES),):
             raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
 
-    def of(self, name: FramePostureName) -> float:
+    def of(self, name: str) -> float:
         """Probability of one posture."""
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 

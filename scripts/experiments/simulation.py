@@ -19,9 +19,8 @@ from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
 from index.nearest import match_nearest
 from index.network import AXES
-from index.posture import LOW, POSTURES, classify_postures
+from index.posture import LOW, POSTURES, SILHOUETTE_GROUPS, classify_postures
 from index.reranking import RankingModel
-from index.silhouette_posture import KIND_OF, KINDS
 from index.skeleton import BODY_UP, JOINTS
 from index.store import PoseIndex
 from scripts.index.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries
@@ -105,7 +104,9 @@ def measure(
             "network_and_votes": way_figures(postures, every, every.postures, actions),
         },
         "posture_confusion": confusion(
-            len(KINDS) + 1, KIND_OF[postures], told_kinds(every, every.postures)[0]
+            len(SILHOUETTE_GROUPS) + 1,
+            SILHOUETTE_GROUPS.of[postures],
+            told_kinds(every, every.postures)[0],
         ).tolist(),
         "elevations": by_elevation(simulated.take(np.arange(asked.upright)), upright),
         "limits": limits(upright),
@@ -208,7 +209,7 @@ def posture_groups(postures: NDArray[np.int64]) -> dict[str, Rows]:
 
 def posture_figures(postures: NDArray[np.int64], trial: Trial) -> dict[str, Figures]:
     """Return the figures of each group of postures; kinds alone count as right."""
-    right = told_kinds(trial, trial.postures)[0] == KIND_OF[postures]
+    right = told_kinds(trial, trial.postures)[0] == SILHOUETTE_GROUPS.of[postures]
     return {
         name: {**summary(trial, rows), "posture_right": percent(right[rows])}
         for name, rows in posture_groups(postures).items()
@@ -220,14 +221,17 @@ def told_kinds(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the kinds ``(Q,)`` that the service would say, and the probability of each.
 
-    Kinds are positions in :data:`index.silhouette_posture.KINDS`, or their number for ``unclear``.
+    Kinds are positions in ``SILHOUETTE_GROUPS``, or their number for ``unclear``.
     """
     said = [
         likeliest_posture(one, confidence=confidence)
         for one, confidence in zip(shares, trial.confidence.max(axis=1), strict=True)
     ]
     kinds = [
-        len(KINDS) if one.label == "unclear" else KIND_OF[POSTURES.index(one.label)] for one in said
+        len(SILHOUETTE_GROUPS)
+        if one.label == "unclear"
+        else SILHOUETTE_GROUPS.of[POSTURES.index(one.label)]
+        for one in said
     ]
     return np.array(kinds), np.array([one.probability for one in said])
 
@@ -242,7 +246,7 @@ def way_figures(
 
     The calibration error is that of the labels' probabilities.
     """
-    true = KIND_OF[postures]
+    true = SILHOUETTE_GROUPS.of[postures]
     kinds, probability = told_kinds(trial, shares)
     right = kinds == true
     return {
@@ -251,8 +255,8 @@ def way_figures(
         "mean_over_actions": float(
             np.mean([percent(right[actions == action]) for action in np.unique(actions)])
         ),
-        "wrong": percent(~right & (kinds < len(KINDS))),
-        "unclear": percent(kinds == len(KINDS)),
+        "wrong": percent(~right & (kinds < len(SILHOUETTE_GROUPS))),
+        "unclear": percent(kinds == len(SILHOUETTE_GROUPS)),
         "ece": expected_calibration_error(probability, shares.argmax(axis=1) == postures),
     }
 

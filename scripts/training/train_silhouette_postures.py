@@ -9,7 +9,7 @@ network that does not know this subject either; these answers are reported as we
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Self
@@ -24,16 +24,13 @@ from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu
-from index.posture import classify_postures
+from index.posture import LANDMARK_GROUPS, SILHOUETTE_GROUPS, classify_postures
 from index.silhouette_posture import (
     INPUTS,
-    KIND_OF,
-    KINDS,
     MIN_VOTE,
     UNITS,
     PostureNetwork,
     posture_inputs,
-    votes_of_kinds,
 )
 from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
@@ -53,23 +50,16 @@ from scripts.training.render.pose import Pose
 from scripts.training.render.posing import PoseSource, classes_of
 
 PRIOR = np.array([0.5, 0.07, 0.07, 0.05, 0.12, 0.05, 0.14])
-"""Assumed shares of :data:`index.silhouette_posture.KINDS` among people."""
+"""Assumed shares of ``SILHOUETTE_GROUPS`` among people."""
 
-MADE: Mapping[str, tuple[int, tuple[str, ...]]] = {
-    "standing": (600, ("standing",)),
-    "bending": (1500, ("bending",)),
-    "crouching": (3600, ("crouching", "kneeling")),
-    "sitting": (1800, ("sitting",)),
-    "all_fours": (1300, ("crawling",)),
-    "lying": (1200, ("lying",)),
-}
-"""Poses to make of each class of :mod:`scripts.training.render.posing`, and the postures for which
-their joints have to be taken: others are left out."""
+MADE = {"standing": 600, "bending": 1500, "crouching": 3600, "sitting": 1800, "all_fours": 1300,
+        "lying": 1200}  # fmt: skip
+"""Poses to make of each of ``LANDMARK_GROUPS``; others, by their joints, are left out."""
 
 _MADE_SHARE, _MADE_UPRIGHT_SHARE = 0.5, 0.15
 """Shares of made poses in what is learned of a kind."""
 
-_INDEX_SHARES = {"standing": 0.12, "lying": 0.15}
+_INDEX_SHARES = {"upright": 0.12, "lying": 0.15}
 """Shares of the entries of a kind that are learned; of others, seven in ten."""
 
 _VIEWS, _FOLDS, _ASKED, _SEED = 2, 4, 400, 41
@@ -84,7 +74,7 @@ class Examples:
     """Inputs of the network from silhouettes, and the postures that these show."""
 
     inputs: NDArray[np.uint8]  # (N, 514)
-    kinds: NDArray[np.int64]  # (N,): positions in :data:`index.silhouette_posture.KINDS`
+    kinds: NDArray[np.int64]  # (N,): positions in ``SILHOUETTE_GROUPS``
     subjects: NDArray[np.str_]  # (N,)
     made: NDArray[np.bool_]  # (N,)
 
@@ -146,7 +136,7 @@ def made_poses(
     avatars = make_avatars(INDEX_AVATARS, shared / "garments")
     source = PoseSource(poses, classes_of(joints_of(poses, avatars[0])))
     generator = np.random.default_rng(_SEED)
-    names = [name for name, (count, _) in MADE.items() for _ in range(count)]
+    names = [name for name, count in MADE.items() for _ in range(count)]
     drawn = [source.draw(name, generator) for name in names]
     of_avatar = generator.integers(len(avatars), size=len(drawn))
     rendered = [
@@ -157,9 +147,13 @@ def made_poses(
     bits, entries, skeletons = (np.concatenate(part)[order] for part in zip(*rendered, strict=True))
     postures = classify_postures(skeletons, BODY_UP)
     seated = np.array([pose.support != "ground" for pose in drawn])
-    kinds = np.where(seated, KINDS.index(("sitting",)), KIND_OF[postures])
-    wanted = np.array([[any(n in kind for n in MADE[name][1]) for kind in KINDS] for name in names])
-    right = np.repeat(wanted[np.arange(len(kinds)), kinds], _VIEWS)
+    kinds = np.where(
+        seated, SILHOUETTE_GROUPS.names.index("sitting"), SILHOUETTE_GROUPS.of[postures]
+    )
+    asked = np.array([LANDMARK_GROUPS.names.index(name) for name in names])
+    wanted = np.zeros((len(LANDMARK_GROUPS), len(SILHOUETTE_GROUPS)), bool)
+    wanted[LANDMARK_GROUPS.of, SILHOUETTE_GROUPS.of] = True
+    right = np.repeat(wanted[asked, kinds], _VIEWS)
     simulation = Simulation(
         compress(bits.reshape(-1, bits.shape[-1])), entries.ravel(),
         skeletons.reshape(-1, POINTS, 3), np.zeros(len(drawn), SKELETON_DTYPE), (), (), (),
@@ -189,7 +183,7 @@ def train(examples: Examples) -> PostureNetwork:
     torch.use_deterministic_algorithms(True)
     layers = nn.Sequential(
         nn.Dropout(_DROPOUT), nn.Linear(INPUTS, UNITS), nn.ReLU(), nn.Dropout(_DROPOUT),
-        nn.Linear(UNITS, len(KINDS)),
+        nn.Linear(UNITS, len(SILHOUETTE_GROUPS)),
     )  # fmt: skip
     optimiser = torch.optim.AdamW(layers.parameters(), lr=_RATE, weight_decay=_DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, _STEPS)
@@ -237,7 +231,7 @@ def fit_votes(
     A conditional logit; kinds weigh as in the prior.
     """
     features = np.stack([logits, np.log(votes + MIN_VOTE)], axis=-1)
-    weights = (PRIOR / np.maximum(np.bincount(kinds, minlength=len(KINDS)), 1))[kinds]
+    weights = (PRIOR / np.maximum(np.bincount(kinds, minlength=len(SILHOUETTE_GROUPS)), 1))[kinds]
     weights /= weights.sum()
     every = np.arange(len(kinds))
 
@@ -252,7 +246,7 @@ def fit_votes(
         slopes = np.concatenate([np.einsum("nk,nkf->f", apart, features), apart.sum(axis=0)])
         return float(value), slopes + 2e-3 * found
 
-    start = np.zeros(2 + len(KINDS))
+    start = np.zeros(2 + len(SILHOUETTE_GROUPS))
     return np.asarray(minimize(loss, start, jac=True, method="L-BFGS-B").x)
 
 
@@ -270,9 +264,12 @@ def with_votes(network: PostureNetwork, fitted: NDArray[np.float64]) -> PostureN
 def report(name: str, shares: NDArray[np.float64], kinds: NDArray[np.int64]) -> str:
     """How often kinds are right by shares ``(N, 7)``, each weighing as in the prior."""
     best, sure = shares.argmax(axis=1), shares.max(axis=1) >= 0.5
-    each = [percent((best == kinds)[kinds == kind]) for kind in range(len(KINDS))]
-    wrong = [percent(((best != kinds) & sure)[kinds == kind]) for kind in range(len(KINDS))]
-    named = ", ".join(f"{kind[0]} {value:.0f}" for kind, value in zip(KINDS, each, strict=True))
+    each = [percent((best == kinds)[kinds == kind]) for kind in range(len(SILHOUETTE_GROUPS))]
+    wrong = [
+        percent(((best != kinds) & sure)[kinds == kind]) for kind in range(len(SILHOUETTE_GROUPS))
+    ]
+    shown = zip(SILHOUETTE_GROUPS.names, each, strict=True)
+    named = ", ".join(f"{name} {value:.0f}" for name, value in shown)
     return (
         f"{name}: right {PRIOR @ each:.1f} % (mean {np.mean(each):.1f}), surely wrong "
         f"{PRIOR @ wrong:.1f} %; {named}"
@@ -297,12 +294,12 @@ def train_postures(index: PoseIndex, shared: Path) -> PostureNetwork:
     segments, _ = hold_out(read_manifest(shared / "mocap"))
     subject_of = {segment.clip: segment.subject for segment in segments}
     labels = index.skeleton_labels
-    kind_of = KIND_OF[classify_postures(index.skeletons, BODY_UP, labels["speed"])]
+    kind_of = SILHOUETTE_GROUPS.of[classify_postures(index.skeletons, BODY_UP, labels["speed"])]
     subjects = np.array([subject_of.get(clip, "") for clip in index.clips])[labels["clip"]]
     known = np.flatnonzero((subjects != "")[index.entries["skeleton"]])
     skeletons = index.entries["skeleton"][known]
     generator = np.random.default_rng(_SEED)
-    shares = np.array([_INDEX_SHARES.get(kind[0], 0.7) for kind in KINDS])
+    shares = np.array([_INDEX_SHARES.get(name, 0.7) for name in SILHOUETTE_GROUPS.names])
     chosen = generator.random(len(known)) < shares[kind_of[skeletons]]
     rows, skeletons = known[chosen], skeletons[chosen]
     shown = recorded(index, rows)
@@ -315,15 +312,15 @@ def train_postures(index: PoseIndex, shared: Path) -> PostureNetwork:
     fold = np.array([folds.get(str(subject), -1) for subject in examples.subjects])
     asked = np.concatenate([
         generator.permutation(np.flatnonzero(learned.kinds == kind))[:_ASKED]
-        for kind in range(len(KINDS))
+        for kind in range(len(SILHOUETTE_GROUPS))
     ])  # fmt: skip
-    votes, logits = (np.zeros((len(asked), len(KINDS))) for _ in range(2))
+    votes, logits = (np.zeros((len(asked), len(SILHOUETTE_GROUPS))) for _ in range(2))
     fold_of_entry = np.array([folds.get(str(s), -1) for s in subjects])[index.entries["skeleton"]]
     for number in range(_FOLDS):
         own = np.flatnonzero(fold[asked] == number)
         others = known[fold_of_entry[known] != number]
         voted = run_trial(part(index, others), shown.take(asked[own])).votes
-        votes[own] = votes_of_kinds(voted)
+        votes[own] = SILHOUETTE_GROUPS.sums(voted)
         unknowing = train(examples.take(fold != number))
         logits[own] = logits_of(unknowing, learned.inputs[asked[own]])
     true = learned.kinds[asked]

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from index.artefact import version_of
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
-from index.silhouette_posture import INPUTS, KINDS, UNITS, PostureNetwork
+from index.posture import SILHOUETTE_GROUPS
+from index.silhouette_posture import INPUTS, UNITS, PostureNetwork
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 
@@ -41,7 +42,7 @@ def random_postures(seed: int) -> PostureNetwork:
         factors = np.full(outputs, reached / (QUANT_MAX * 12 * np.sqrt(inputs)), np.float32)
         return Layer(weights, factors, generator.normal(0, reached / 10, outputs).astype("f4"))
 
-    layers = layer(INPUTS, UNITS, QUANT_MAX), layer(UNITS, len(KINDS), 4.0)
+    layers = layer(INPUTS, UNITS, QUANT_MAX), layer(UNITS, len(SILHOUETTE_GROUPS), 4.0)
     return PostureNetwork(layers, 0.5)
 
 

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from app.vision.judgement import FramePostureName
 from scripts.index.motion import METRES_PER_UNIT, Clip
 
 Support = Literal["ground", "seat", "cycle"]
@@ -79,7 +78,7 @@ class Pose:
     rotations: NDArray[np.float64]
     bones: Bones
     support: Support = "ground"
-    posture: FramePostureName | None = None
+    posture: str | None = None
 
     def turn(self, rows: NDArray[np.int64], turn: NDArray[np.float64]) -> None:
         """Turn some bones, as they are in the world."""

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from app.vision.judgement import FRAME_POSTURES
-from index.posture import POSTURES, classify_postures
+from index.posture import LANDMARK_GROUPS, classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 from scripts.index.body import Avatar, turned_to_front
 from scripts.index.motion import Clip, read_manifest
@@ -22,20 +21,12 @@ from scripts.training.falling import FALLS, FPS, fall_from
 from scripts.training.render.makers import MAKERS, UNRECORDED, Maker
 from scripts.training.render.pose import Bones, Pose
 
-CLASS_OF_POSTURE = {
-    "standing": "standing", "walking": "standing", "running": "standing",
-    "arms_raised": "standing", "bending": "bending", "crouching": "crouching",
-    "kneeling": "crouching", "sitting": "sitting", "crawling": "all_fours", "lying": "lying",
-}  # fmt: skip
-
 SHARES = {"standing": 0.27, "bending": 0.12, "crouching": 0.11, "sitting": 0.24, "all_fours": 0.06,
           "lying": 0.2}  # fmt: skip
 """How often each is asked for."""
 
 HELD_OUT_SUBJECTS = ("13", "86", "127", "16")
 """Their clips are seen only by held-out photographs."""
-
-_CLASS_ROWS = np.array([FRAME_POSTURES.index(CLASS_OF_POSTURE[posture]) for posture in POSTURES])
 
 FALLEN_POSES = 400
 """Simulated falls, as many as pay: bodies, clothes and views differ each time."""
@@ -45,25 +36,25 @@ REACHING_DOWN_ABOVE = 0.65
 
 
 def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Positions in :data:`FRAME_POSTURES` of skeletons ``(N, P, 3)`` in body axes."""
-    classes = _CLASS_ROWS[classify_postures(joints, BODY_UP)]
+    """Positions in ``LANDMARK_GROUPS`` of skeletons ``(N, P, 3)`` in body axes."""
+    classes = LANDMARK_GROUPS.of[classify_postures(joints, BODY_UP)]
     pelvis, hip, knee, ankle = (
         joints[:, JOINT_NAMES.index(name)]
         for name in ("pelvis", "left_hip", "left_knee", "left_ankle")
     )
     leg = np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)
     high = pelvis[:, 1] - joints[:, :JOINTS, 1].min(axis=1) > REACHING_DOWN_ABOVE * leg
-    bent = high & (classes == FRAME_POSTURES.index("all_fours"))
-    return np.where(bent, FRAME_POSTURES.index("bending"), classes)
+    bent = high & (classes == LANDMARK_GROUPS.names.index("all_fours"))
+    return np.where(bent, LANDMARK_GROUPS.names.index("bending"), classes)
 
 
 def class_of(pose: Pose, joints: NDArray[np.floating]) -> int:
-    """Position in :data:`FRAME_POSTURES` of a pose whose joints ``(P, 3)`` are in body axes."""
+    """Position in ``LANDMARK_GROUPS`` of a pose whose joints ``(P, 3)`` are in body axes."""
     if pose.posture is not None:
-        return FRAME_POSTURES.index(pose.posture)
+        return LANDMARK_GROUPS.names.index(pose.posture)
     found = int(classes_of(joints[None])[0])
-    leans = pose.support == "seat" and FRAME_POSTURES[found] in ("bending", "crouching")
-    return FRAME_POSTURES.index("sitting") if leans or pose.support == "cycle" else found
+    leans = pose.support == "seat" and LANDMARK_GROUPS.names[found] in ("bending", "crouching")
+    return LANDMARK_GROUPS.names.index("sitting") if leans or pose.support == "cycle" else found
 
 
 @dataclass
@@ -102,8 +93,8 @@ class PoseSource:
 
     def draw(self, name: str, generator: Generator) -> Pose:
         """A pose that is meant to be of a class: recorded, or made."""
-        wanted = FRAME_POSTURES.index(name)
-        standing = FRAME_POSTURES.index("standing")
+        wanted = LANDMARK_GROUPS.names.index(name)
+        standing = LANDMARK_GROUPS.names.index("standing")
         if name == "lying" and generator.random() < self.fallen:
             return self.fallen_pose(int(generator.integers(FALLEN_POSES)), generator)
         if name in UNRECORDED and generator.random() < self.unrecorded:
@@ -113,7 +104,7 @@ class PoseSource:
         base = standing
         if name == "lying" and generator.random() < 0.5:
             base = int(
-                generator.choice([FRAME_POSTURES.index(c) for c in ("sitting", "crouching")])
+                generator.choice([LANDMARK_GROUPS.names.index(c) for c in ("sitting", "crouching")])
             )
         pose = self.recorded(base if made and self.has(base) else standing if made else wanted,
                              generator)  # fmt: skip
@@ -128,7 +119,7 @@ class PoseSource:
 
     def made(self, make: Maker, generator: Generator) -> Pose:
         """A recorded pose of a person with straight legs and hanging arms, made into another."""
-        standing = FRAME_POSTURES.index("standing")
+        standing = LANDMARK_GROUPS.names.index("standing")
         pose = self.recorded(standing, generator)
         for _ in range(200):
             if pose.hangs:

@@ -11,12 +11,17 @@ from app.estimation.posture import (
     PostureFilter,
     as_standing,
     likeliest_posture,
-    shares_of,
-    with_upright_votes,
 )
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
-from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName, vote_posture
+from index.posture import (
+    LANDMARK_GROUPS,
+    ON_THE_GROUND,
+    POSTURES,
+    UPRIGHT,
+    PostureName,
+    vote_posture,
+)
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))
 some_probabilities = st.lists(
@@ -46,7 +51,7 @@ def test_landmarks_decide_between_groups_and_votes_within(
 ) -> None:
     seen = frame_posture(**dict(zip(FRAME_POSTURES, probabilities, strict=True)))
     votes = vote_posture(POSTURES, weights)
-    shares = shares_of(seen, votes)
+    shares = LANDMARK_GROUPS.split(seen.probabilities, votes)
     assert shares.sum() == pytest.approx(1)
     assert share(shares, *UPRIGHT) == pytest.approx(seen.of("standing"))
     assert share(shares, "lying") == pytest.approx(seen.of("lying"))
@@ -57,11 +62,13 @@ def test_landmarks_decide_between_groups_and_votes_within(
 
 def test_probability_is_that_of_the_label() -> None:
     votes = vote_posture(["standing", "walking"], [0.7, 0.3])
-    upright = likeliest_posture(shares_of(frame_posture(standing=0.9, sitting=0.1), votes))
+    upright = likeliest_posture(
+        LANDMARK_GROUPS.split(frame_posture(standing=0.9, sitting=0.1).probabilities, votes)
+    )
     assert upright.label == "standing"
     assert upright.probability == pytest.approx(0.63, abs=0.01)
     seen = frame_posture(lying=0.55, all_fours=0.35, sitting=0.1)
-    low = likeliest_posture(shares_of(seen, votes))
+    low = likeliest_posture(LANDMARK_GROUPS.split(seen.probabilities, votes))
     assert (low.label, low.probability) == ("lying", pytest.approx(0.55))
     # Surely upright, but nothing says whether the person walks.
     either = likeliest_posture(vote_posture(["standing", "walking", "running"], [0.4, 0.3, 0.3]))
@@ -77,23 +84,6 @@ def test_posture_is_limited_by_presence_and_by_the_best_hypothesis(
     assert found.probability <= presence + 1e-9
     assert confidence >= 0.2 or found.probability <= 0.8
     assert (found.label == "unclear") == (found.probability < MIN_PROBABILITY)
-
-
-@given(weights=some_weights, others=some_weights)
-def test_other_votes_divide_only_those_who_are_upright(
-    weights: list[float], others: list[float]
-) -> None:
-    shares, votes = vote_posture(POSTURES, weights), vote_posture(POSTURES, others)
-    divided = with_upright_votes(shares, votes)
-    assert share(divided, *UPRIGHT) == pytest.approx(share(shares, *UPRIGHT))
-    low = [name for name in POSTURES if name not in UPRIGHT]
-    assert [share(divided, name) for name in low] == [share(shares, name) for name in low]
-    ahead = share(votes, "walking") - share(votes, "standing")
-    if ahead > 0:
-        assert share(divided, "walking") >= share(divided, "standing")
-    # A difference in the last digit of the votes may be lost in the division.
-    if ahead > 1e-12:
-        assert share(divided, "walking") > share(divided, "standing")
 
 
 @given(weights=some_weights)
@@ -167,5 +157,5 @@ def test_a_posture_fades_with_the_probability_of_a_person() -> None:
 
 
 def test_a_posture_for_which_nobody_votes_has_a_small_share() -> None:
-    shares = shares_of(frame_posture(standing=1.0), votes("walking"))
+    shares = LANDMARK_GROUPS.split(frame_posture(standing=1.0).probabilities, votes("walking"))
     assert 0 < share(shares, "standing") < 0.01

@@ -4,12 +4,11 @@ from collections.abc import Iterable
 
 import pytest
 
-from app.estimation.posture import frame_shares
 from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
 from app.tracking.results import Event
 from app.vision.geometry import Box
-from index.posture import ON_THE_GROUND, PostureName, vote_posture
+from index.posture import LANDMARK_GROUPS, PostureName, vote_posture
 
 FPS = 10
 FRAME = (480, 640)
@@ -37,7 +36,7 @@ def watch(
             other: PostureName = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             box = BOXES.get(posture, STANDS)
-            seen = Observation(box, FRAME, frame_shares(shares), 0.6 * confidence)
+            seen = Observation(box, FRAME, LANDMARK_GROUPS.sums(shares), 0.6 * confidence)
             events += detector.update(frame / fps, shares, confidence, seen, rests=rests)
             frame += 1
     return events
@@ -140,15 +139,7 @@ def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
     events: list[Event] = []
     for frame in range(50, 100):
         shares = vote_posture(["lying", "bending"], [0.9, 0.1])
-        seen = Observation(BOXES["lying"], FRAME, frame_shares(shares), 0.6)
+        seen = Observation(BOXES["lying"], FRAME, LANDMARK_GROUPS.sums(shares), 0.6)
         events += detector.update(frame / FPS, shares, 1.0, seen)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
-
-
-def test_frame_shares_keep_their_sum() -> None:
-    shares = vote_posture(["lying", "crawling", "walking", "kneeling"], [0.4, 0.3, 0.2, 0.1])
-    summed = frame_shares(shares)
-    assert summed.sum() == pytest.approx(1)
-    assert summed[-2:].sum() == pytest.approx(0.7)
-    assert {"lying", "crawling"} == set(ON_THE_GROUND)
