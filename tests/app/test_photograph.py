@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from app import photograph
-from app.camera import CameraSession
 from app.estimation.results import Person
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator, fit_poses, network_threads, normalise_person
@@ -332,19 +331,6 @@ def test_a_turned_camera_sees_the_people_of_an_upright_one(
         assert landmarks_of(person).positions == pytest.approx(there, abs=1e-6)
         mask = np.rot90(mask_of(same, street.shape), quarter_turns)
         assert (mask_of(person, turned.shape) == mask).all()
-
-
-def test_people_before_a_turned_camera_stand(
-    estimator: Estimator, street: NDArray[np.uint8]
-) -> None:
-    turned = np.rot90(street).copy()
-    session = CameraSession(estimator)
-    for step in range(4):
-        upload = Upload(turned, optics=Optics(roll_deg=90))
-        seen = session.process(upload, step / 5, 5, Job())
-        assert {event.event for event in seen.events} <= {"entered"}
-    assert len(seen.persons) >= 2
-    assert all(one.posture and one.posture.label not in LOW for one in seen.persons)
 
 
 def test_a_person_half_behind_another_is_found(

@@ -166,11 +166,6 @@ def followed(
     return [None if track is None else tracks.index(track) for track in led]
 
 
-def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> None:
-    assert followed(drawn, 104, 140, 102) == [1]
-    assert followed(drawn, 104, 102, 140) == [0]
-
-
 def test_a_detected_person_whom_the_window_of_a_track_shows_is_its_person(
     drawn: Estimator, detector: ColourDetector
 ) -> None:
@@ -248,14 +243,6 @@ def test_while_nothing_changes_around_a_large_walker_searches_are_rarer(
     for step, time in enumerate(times):
         send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
     assert detector.searches == 1 + times[-1] // every
-
-
-def test_an_empty_scene_that_is_not_still_is_searched_at_intervals(
-    session: CameraSession, detector: ColourDetector
-) -> None:
-    for step in range(30):
-        send(session, step / 5, light=150 + 10 * (step % 2))
-    assert detector.searches == pytest.approx(6 / SEARCH_EVERY_S, abs=3)
 
 
 def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(

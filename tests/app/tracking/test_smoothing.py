@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Person
 from app.tracking.body import SeenBody
-from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
-from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
+from app.tracking.motion import Motion, MotionFilter
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.vision.people import Landmarks, Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
@@ -17,7 +17,6 @@ from index.skeleton import (
     POINT_NAMES,
     POINTS,
     bone_lengths,
-    mean_joint_distance,
     wrap_degrees,
 )
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
@@ -220,20 +219,6 @@ def test_the_sooner_a_pose_changes_the_more_evidence_it_needs(gap_s: float, foll
         follower.update(person_of([low, high], [0.7, 0.3]), frame / 10)
     _, last = follower.update(person_of([high, low], [0.7, 0.3]), 0.2 + gap_s)
     assert (last.pose.entry == 0) == follows
-
-
-@pytest.mark.parametrize("elapsed_s", [0.025, 0.1, 0.4])
-def test_odds_of_a_move_fall_with_its_distance_and_rise_with_its_time(elapsed_s: float) -> None:
-    low, high = arms_raised(0.0), arms_raised(15.0)
-    follower = Follower()
-    follower.update(person_of([low], [0.5]), 0.0)
-    _, last = follower.update(
-        person_of([low, high], [0.5, 0.5], postures=["sitting", "kneeling"]), elapsed_s
-    )
-    stays, moves = (last.votes[POSTURES.index(name)] for name in ("sitting", "kneeling"))
-    cost_per_m = SMOOTHING.cost_per_m * 2 / (1 + elapsed_s * REFERENCE_HZ)
-    metres = mean_joint_distance(low[None], high[None])[0]
-    assert np.log(stays / moves) == pytest.approx(cost_per_m * metres, rel=1e-3)
 
 
 @pytest.mark.parametrize(("by_landmarks", "frames"), [(False, 12), (True, 4)])

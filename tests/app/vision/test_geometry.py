@@ -76,10 +76,6 @@ def test_suppression_keeps_boxes_better_than_all_nearby(
         assert any(overlaps[row, o] >= max_iou and scores[o] >= scores[row] for o in kept)
 
 
-def test_suppression_of_no_boxes_keeps_none() -> None:
-    assert non_max_suppression(np.zeros((0, 4)), np.zeros(0), 0.4) == []
-
-
 @given(window=PERSON_WINDOWS, pixels=st.integers(2, 300))
 def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     window: PersonWindow, pixels: int

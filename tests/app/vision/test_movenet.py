@@ -22,7 +22,6 @@ from app.vision.movenet import (
     decode_heads,
     keypoint_window,
 )
-from app.vision.people import COCO_NAMES
 from tests.app.vision.conftest import moved
 from tests.conftest import ROOT
 
@@ -192,21 +191,6 @@ def test_person_is_in_the_middle_of_the_keypoint_window(
     # The long side is along the person, and nothing is squeezed.
     assert tuple(shown) == KEYPOINT_WINDOW_PX[:: 1 if width > height else -1]
     assert abs(columns * shown[1] - rows * shown[0]) <= max(shown)
-
-
-def test_keypoints_lie_in_the_box_from_head_to_feet(
-    reader: KeypointReader, street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
-) -> None:
-    for box in (*walkers, *far_walkers):
-        seen = reader.read(street, box)
-        assert seen is not None
-        margin = 0.1 * box.height
-        assert (seen.positions > [box.x - margin, box.y - margin]).all()
-        assert (seen.positions < [box.right + margin, box.bottom + margin]).all()
-        rows = dict(zip(COCO_NAMES, seen.positions[:, 1], strict=True))
-        for side in ("left", "right"):
-            order = [rows[f"{side}_{name}"] for name in ("ear", "shoulder", "hip", "knee", "ankle")]
-            assert order == sorted(order)
 
 
 def test_right_one_of_two_neighbours_is_read(
