@@ -26,8 +26,8 @@ from index.skeleton import (
     side_rows,
 )
 from index.store import PoseIndex
-from tests.index.conftest import drawn, movement
 from tests.index.helpers import joint_error, landmarks_of, points_of
+from tests.support.figures import drawn, movement
 
 QUERIES = range(0, 576, 61)
 

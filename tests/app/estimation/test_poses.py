@@ -21,7 +21,7 @@ from index.skeleton import (
     rows,
     side_rows,
 )
-from tests.conftest import stick_figure
+from tests.support.figures import stick_figure
 from tests.support.projection import project
 
 SHAPE = (300, 300)

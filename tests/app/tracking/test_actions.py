@@ -23,7 +23,7 @@ from app.vision.geometry import Box
 from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from tests.app.tracking.people import person_of, standing_body
-from tests.conftest import stick_figure
+from tests.support.figures import stick_figure
 
 PX_PER_M = 80.0
 UP = np.array([0.0, 1.0, 0.0])
