@@ -95,16 +95,6 @@ def test_requests_that_search_are_refused_and_all_others_answered(
     assert client.post("/pose", files=photo.files).status_code == 200
 
 
-def test_a_failure_leaves_a_camera_session_usable(
-    client: TestClient, milvus: FakeMilvus, photo: Photo
-) -> None:
-    answers = []
-    for milvus.error in (None, AWAY, None):
-        response = send(client, photo)
-        answers.append((response.status_code, response.headers["x-session"]))
-    assert answers == [(200, "new"), (503, "warm"), (200, "warm")]
-
-
 def test_another_index_is_served_once_it_is_published(
     client: TestClient, milvus: FakeMilvus, photo: Photo
 ) -> None:

@@ -16,7 +16,6 @@ from index.silhouette_matching import match_silhouette
 from index.silhouette_posture import (
     KIND_OF,
     KINDS,
-    PostureNetwork,
     posture_inputs,
     votes_of_kinds,
 )
@@ -75,14 +74,6 @@ def test_either_end_and_either_side_may_be_up(roll_deg: float) -> None:
     for same in (-roll_deg, 180 - roll_deg, roll_deg - 180):
         assert_allclose(posture_inputs(hidden(1), same), given, atol=1)
     assert (posture_inputs(hidden(1), 0.0)[HIDDEN:] == 0).all()
-
-
-def test_stored_arrays_give_the_same_network() -> None:
-    back = PostureNetwork.restore(NETWORK.arrays())
-    votes = vote_posture(POSTURES, np.arange(1, 11).tolist())
-    assert_array_equal(back.shares(hidden(3), 90.0, votes), NETWORK.shares(hidden(3), 90.0, votes))
-    with pytest.raises(ValueError, match="expected a network of postures"):
-        PostureNetwork(NETWORK.layers[::-1], 0.5)
 
 
 def test_a_mirror_image_is_in_the_same_posture(

@@ -9,7 +9,7 @@ from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
 from app.tracking.results import Event
 from app.vision.geometry import Box
-from index.posture import ON_THE_GROUND, PostureName, vote_posture
+from index.posture import PostureName, vote_posture
 
 FPS = 10
 FRAME = (480, 640)
@@ -144,11 +144,3 @@ def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
         events += detector.update(frame / FPS, shares, 1.0, seen)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6
-
-
-def test_frame_shares_keep_their_sum() -> None:
-    shares = vote_posture(["lying", "crawling", "walking", "kneeling"], [0.4, 0.3, 0.2, 0.1])
-    summed = frame_shares(shares)
-    assert summed.sum() == pytest.approx(1)
-    assert summed[-2:].sum() == pytest.approx(0.7)
-    assert {"lying", "crawling"} == set(ON_THE_GROUND)

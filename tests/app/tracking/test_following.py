@@ -15,12 +15,10 @@ from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking import following
 from app.tracking.following import (
     EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
-    UNCHANGED_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
@@ -95,25 +93,6 @@ def test_a_person_who_does_not_move_is_not_read_in_every_frame(
     assert passes(8.0, walks(80), (1, 206)) == passes(8.1, walks(81), (1, 206)) == 2
 
 
-def test_an_unchanged_person_is_estimated_anew_if_something_else_is_asked(
-    session: CameraSession, drawn: Estimator
-) -> None:
-    reader = drawn.models.reader
-    assert isinstance(reader, ColourReader)
-    frame = draw((0, 100))
-
-    def passes(time: float, n: int) -> int:
-        before = reader.passes
-        session.process(Upload(frame), time, n, Job())
-        return reader.passes - before
-
-    for step in range(40):
-        passes(step / 10, 3)
-    read = next(step for step in range(40, 50) if passes(step / 10, 3))
-    assert passes((read + 1) / 10, 3) == 0
-    assert passes((read + 2) / 10, 0) == 1
-
-
 def decoded(drawn: Estimator, *people: tuple[int, int]) -> DecodedUpload:
     return drawn.decode(Upload(draw(*people)), Job())
 
@@ -131,19 +110,6 @@ def test_a_person_who_was_hardly_seen_behind_others_is_not_searched_for_at_once(
     detector.searches = 0
     assert len(people.find(one, 0.1, tracks, Job())[0]) == 1
     assert detector.searches == (0 if beside else 1)
-
-
-def test_a_detection_larger_than_the_body_moves_no_box(
-    session: CameraSession, detector: ColourDetector
-) -> None:
-    """A walking frame beside a person, say, that the detector takes for a part of them."""
-    send(session, 0.0, (0, 100))
-    for step in range(1, 21):
-        detector.room = 60 * (step % 2)
-        result = send(session, step / 2, (0, 100))
-        assert ids(result) == [1]
-        box = result.persons[0].box
-        assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
 
 
 def followed(
@@ -227,22 +193,6 @@ def test_a_still_scene_is_searched_rarely(
     for step in range(15, 135):
         send(session, step / 5, *people)
     assert detector.searches == 24 / interval_s
-
-
-@pytest.mark.parametrize(("flicker", "large"), [(0, True), (20, True), (0, False)])
-def test_while_nothing_changes_around_a_large_walker_searches_are_rarer(
-    session: CameraSession,
-    detector: ColourDetector,
-    monkeypatch: pytest.MonkeyPatch,
-    flicker: int,
-    large: bool,
-) -> None:
-    monkeypatch.setattr(following, "MOVENET_FROM_PX", 30.0 if large else 300.0)
-    every = UNCHANGED_SEARCH_EVERY_S if large and not flicker else SEARCH_EVERY_S
-    times = [0.201 * step for step in range(9)]
-    for step, time in enumerate(times):
-        send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
-    assert detector.searches == 1 + times[-1] // every
 
 
 def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(

@@ -61,19 +61,6 @@ def test_each_person_of_a_crowd_is_detected_once(
         assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
 
 
-@pytest.mark.parametrize("x", range(380, 560, 20))
-def test_person_across_two_tiles_is_detected_once(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], x: int
-) -> None:
-    """A walker moved across the seams of a frame of 1000x500 on plain asphalt."""
-    left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
-    frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
-    frame[200:330, x : x + 64] = street[top : top + 130, left : left + 64]
-    found, _ = detector.detect(frame, min_person_px=40)
-    expected = moved(walkers[1], x - left, 200 - top)
-    assert [one.box.iou(expected) > 0.6 for one in found] == [True]
-
-
 @given(score=st.floats(0, 1), margin=st.floats(-5, 5), body=st.floats(0, 1), more=st.floats(0, 2))
 def test_probability_never_falls_with_a_score(
     score: float, margin: float, body: float, more: float

@@ -2,24 +2,22 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.vision.geometry import (
-    WINDOW_SCALE,
     Box,
     PersonWindow,
     crop,
-    crop_and_resize,
     iou_matrix,
     non_max_suppression,
     sample_window,
     shrink_quickly,
     transform_points,
 )
-from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, SIDES
+from tests.app.vision.conftest import PERSON_WINDOWS
 
 boxes = st.builds(Box, *[st.floats(-50, 50)] * 2, *[st.floats(0.5, 60)] * 2)
 box_arrays = st.lists(boxes, min_size=1, max_size=9).map(
@@ -93,24 +91,6 @@ def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     assert (angle - window.roll_deg + 180) % 360 == pytest.approx(180, abs=1e-6)
 
 
-@given(x=PLACES, y=PLACES, radius=SIDES, roll_deg=st.floats(-179, 179))
-def test_window_about_a_circle_has_its_top_point_above_the_middle(
-    x: float, y: float, radius: float, roll_deg: float
-) -> None:
-    angle = np.deg2rad(roll_deg)
-    top = np.array([x + radius * np.sin(angle), y - radius * np.cos(angle)])
-    window = PersonWindow.about_circle(np.array([x, y]), top)
-    assert (window.x, window.y) == (x, y)
-    assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)
-    assert window.roll_deg == pytest.approx(roll_deg, abs=1e-6)
-
-
-def test_drift_is_the_distance_of_corners_in_sides() -> None:
-    window = PersonWindow(10, 20, 40)
-    assert window.drift(window) == 0
-    assert window.drift(PersonWindow(34, 52, 40)) == pytest.approx(1)
-
-
 def noise(height: int, width: int) -> NDArray[np.uint8]:
     return np.random.default_rng(5).integers(1, 256, (height, width, 3), np.uint8)
 
@@ -142,24 +122,6 @@ def test_a_quickly_shrunk_ramp_is_a_ramp_in_the_same_place(
     resized = shrink_quickly(ramp, width, height)
     assert resized.shape == (height, width)
     assert np.abs(resized - np.add.outer(y, x)).max() <= 2.5
-
-
-@given(
-    left=st.integers(-500, 90), top=st.integers(-500, 90),
-    columns=st.integers(60, 900), rows=st.integers(60, 900),
-)  # fmt: skip
-def test_large_crops_are_accurate_to_a_pixel(left: int, top: int, columns: int, rows: int) -> None:
-    image = np.full((80, 100, 3), 255, np.uint8)
-    # Slivers thinner than a pixel of the result may show or not.
-    assume(min(left + columns, 100) - max(left, 0) > columns / 48)
-    assume(min(top + rows, 80) - max(top, 0) > rows / 64)
-    expected, found = (
-        crop_and_resize(image, (left, top, columns, rows), 48, 64, max_crop_px)[..., 0] > 127
-        for max_crop_px in (2**22, 0)
-    )
-    assert found.shape == expected.shape
-    for axis in (0, 1):
-        assert abs(found.any(axis=axis).sum() - expected.any(axis=axis).sum()) <= 2
 
 
 def window_of_pixels(left: int, top: int, pixels: int, roll_deg: float = 0.0) -> PersonWindow:

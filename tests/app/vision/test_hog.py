@@ -48,14 +48,6 @@ def test_walkers_are_found_at_any_size(
         assert max(walker.scaled(factor).iou(box) for box in found) > 0.5
 
 
-def test_detections_come_best_first_and_none_repeats_another(street: NDArray[np.uint8]) -> None:
-    found = detected(street)
-    scores = [one.score for one in found]
-    assert scores == sorted(scores, reverse=True)
-    for row, one in enumerate(found):
-        assert all(one.box.iou(other.box) < 0.4 for other in found[:row])
-
-
 def test_threads_of_opencv_change_nothing(street: NDArray[np.uint8]) -> None:
     threads = cv2.getNumThreads()
     answers = []
@@ -66,7 +58,7 @@ def test_threads_of_opencv_change_nothing(street: NDArray[np.uint8]) -> None:
     assert answers[0] == answers[1]
 
 
-@settings(max_examples=15)
+@settings(max_examples=5)
 @given(width=st.integers(1, 200), height=st.integers(1, 200), seed=st.integers(0, 99))
 def test_any_frame_may_be_searched(width: int, height: int, seed: int) -> None:
     frame = np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)

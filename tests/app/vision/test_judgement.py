@@ -18,7 +18,6 @@ from app.vision.judgement import (
     TrustModel,
     load_photograph_models,
     posture_features,
-    region_features,
     sharpened,
     trust_features,
 )
@@ -73,17 +72,6 @@ def test_the_numbers_of_a_body_that_stands_upright() -> None:
     assert_allclose(posture_features(points, visibility, 20.0, 0.6, 0.4), expected, atol=1e-9)
 
 
-def test_the_surroundings_of_trunk_and_legs_are_means_at_their_landmarks() -> None:
-    for part, expected in (
-        ("shoulder", [0.25, 0]), ("hip", [0.25, 0]), ("knee", [0, 0.25]), ("ankle", [0, 0.25]),
-        ("wrist", [0, 0]),
-    ):  # fmt: skip
-        for row in landmarks(part):
-            sampled = np.zeros((33, 1))
-            sampled[row] = 1
-            assert region_features(sampled).tolist() == expected
-
-
 def made_up(count: int) -> dict[str, NDArray[np.float64]]:
     """Passes of the network over people of some size, anywhere in their windows."""
     rng = np.random.default_rng(3)
@@ -96,14 +84,6 @@ def made_up(count: int) -> dict[str, NDArray[np.float64]]:
         "last": rng.normal(0, 1, (count, 2, 2, 288)),
         "sigmas": rng.uniform(0.02, 0.3, (count, 33)),
     }
-
-
-def test_what_trust_depends_on_is_each_readings_own() -> None:
-    many = made_up(5)
-    together = trust_features(**many)
-    alone = [trust_features(**{key: value[[row]] for key, value in many.items()})[0]
-             for row in range(5)]  # fmt: skip
-    assert_allclose(together, alone)
 
 
 @pytest.mark.parametrize("part", ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"])

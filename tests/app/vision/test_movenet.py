@@ -70,16 +70,6 @@ def test_people_are_those_of_the_published_graph(
         assert_allclose(person.keypoints.scores, scores, atol=0.1)
 
 
-def test_more_than_six_people_are_detected(
-    movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    height, width = street.shape[:2]
-    found = movenet.detect(np.tile(street, (2, 2, 1)))
-    people = [moved(box, x, y) for x in (0, width) for y in (0, height) for box in walkers]
-    assert len({id(person_in(box, found)) for box in people}) == 12
-    assert sum(one.score > 0.3 for one in found) >= 12
-
-
 @pytest.mark.parametrize(("x", "y"), [(32, 0), (0, 32), (16, 8), (5, 3)])
 def test_people_move_with_the_image(
     movenet: MoveNet, street: NDArray[np.uint8], walkers: list[Box], x: int, y: int
