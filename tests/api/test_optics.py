@@ -46,6 +46,36 @@ def test_a_squeezed_picture_answers_like_the_unsqueezed_one(
     assert person["silhouette"]["area_px"] == pytest.approx(photo.mask.sum() / 2, rel=0.1)
 
 
+@pytest.mark.parametrize("quarters", [1, 2])
+def test_a_turned_camera_answers_like_an_upright_one(
+    client: TestClient, photo: Photo, quarters: int
+) -> None:
+    """Positions and axes turn with the frame; what is said of the person stays."""
+    height, width = photo.mask.shape
+    side = max(height, width) + 100
+    square = np.zeros((side, side), np.uint8)
+    square[50 : 50 + height, 50 : 50 + width] = photo.mask
+    turned = np.rot90(square, quarters)
+    asked = {"fov_deg": 70, "silhouettes": "rle", "observed": "blazepose33"}
+    upright = ask(client, {"mask": png(square)}, **asked)
+    rolled = ask(client, {"mask": png(turned)}, roll_deg=90 * quarters, **asked)
+    assert rolled["image"] == upright["image"]
+    # Counterclockwise, of x to the right and y down.
+    turn, middle = np.linalg.matrix_power([[0, 1], [-1, 0]], quarters % 4), (side - 1) / 2
+    places = (joints(upright, "joints_2d") - middle) @ turn.T + middle
+    assert np.abs(joints(rolled, "joints_2d") - places).mean() < 0.1
+    there = joints(upright)
+    there[:, :2] = there[:, :2] @ turn.T
+    assert np.abs(joints(rolled) - there).mean() < 1e-3
+    (left, top, columns, rows), box = cv2.boundingRect(turned), rolled["persons"][0]["box"]
+    assert list(box.values()) == pytest.approx([left - 0.5, top - 0.5, columns, rows], abs=0.1)
+    person, other = rolled["persons"][0], upright["persons"][0]
+    assert person["silhouette"]["area_px"] == other["silhouette"]["area_px"]
+    assert person["posture"] == other["posture"]
+    rolls = [one["hypotheses"][0]["camera"]["roll_deg"] for one in (person, other)]
+    assert (rolls[1] - rolls[0] - 90 * quarters + 1) % 360 == pytest.approx(1, abs=0.02)
+
+
 def test_a_frame_wins_over_its_camera(client: TestClient, photo: Photo) -> None:
     configuration = {"zones": [], "fov_deg": 100, "pixel_aspect": 2, "roll_deg": 90}
     state = client.put("/cameras/lens", json=configuration)

@@ -86,6 +86,18 @@ class Registry(CameraSessions):
         return [summary.camera_id for summary in self.summaries(caller)]
 
 
+def test_a_summary_describes_the_last_frame() -> None:
+    registry = Registry()
+    registry.send("yard")
+    registry.send("yard", n=7)
+    registry.now += 5
+    summary = registry.summary(CameraKey(0, "yard")).session
+    assert summary is not None
+    assert (summary.frames, summary.timestamp) == (2, 2.0)
+    assert (summary.width, summary.height) == (7, 2)
+    assert (summary.age_s, summary.idle_s) == (6.0, 5.0)
+
+
 def test_the_least_recently_used_goes_first() -> None:
     registry = Registry(max_sessions=2)
     for camera in ("yard", "gate", "yard", "roof"):

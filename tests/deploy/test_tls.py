@@ -17,6 +17,7 @@ from threading import Thread
 import httpx
 import pytest
 
+from app.settings import Settings
 from tests.conftest import ROOT, Photo, Server
 from tests.support.ports import free_ports
 from tests.support.upgrades import check_hidden_requests
@@ -163,6 +164,10 @@ def test_a_frame_is_answered_as_without_it(
     assert there.status_code == 200
     assert there.json()["persons"] == here.json()["persons"]
     assert client.get("/metrics").status_code == 404
+    # As large as the service takes it; of a form a little is not the file.
+    video = bytes(Settings.model_fields["max_video_bytes"].default - 1000)
+    large = client.post("/sequence", files={"video": ("clip.mp4", video)})
+    assert large.json()["reason"] == "undecodable"
 
 
 def test_a_request_hidden_in_a_body_is_not_carried_out(

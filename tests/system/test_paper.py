@@ -38,6 +38,8 @@ def test_people_have_seven_entries_by_default_and_no_network_is_loaded(paper: Se
         assert distances == sorted(distances)
         assert all(0 < one["confidence"] < 1 for one in person["hypotheses"])
         assert all(one["adjusted_mm"] == 0 for one in person["hypotheses"])
+    for path in ("/pose/overlay", "/silhouette", "/cameras/yard/frames"):
+        assert post(paper, path).status_code == 200
     assert "litert" not in Path(f"/proc/{paper.process.pid}/maps").read_text()
 
 

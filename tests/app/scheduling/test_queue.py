@@ -266,6 +266,19 @@ class TestAdmission:
         soon, late = (queue.expire(ticket).retry_after_s for ticket in (light, waiting))
         assert soon is not None and late is not None and soon < late
 
+    @pytest.mark.parametrize(
+        ("seconds", "worked", "expected_s"), [(2, True, 1.2), (100, False, 1.0)]
+    )
+    async def test_one_slow_frame_hardly_changes_what_is_expected_and_an_abandoned_one_nothing(
+        self, seconds: float, worked: bool, expected_s: float
+    ) -> None:
+        queue, clock = one_second_each()
+        slow = queue.enqueue("a", "photograph")
+        clock.now += seconds
+        queue.release(slow, worked=worked)
+        queue.enqueue("a", "photograph")
+        assert queue.load() == pytest.approx(expected_s / (ADMIT_SHARE * MAX_WAIT_S), rel=0.01)
+
     async def test_what_a_frame_waits_for_depends_on_its_kind(self) -> None:
         queue, _ = one_second_each()
         working = queue.enqueue("a", "photograph")

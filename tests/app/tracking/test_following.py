@@ -15,10 +15,12 @@ from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
+from app.tracking import following
 from app.tracking.following import (
     EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
+    UNCHANGED_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
@@ -91,6 +93,25 @@ def test_a_person_who_does_not_move_is_not_read_in_every_frame(
     assert min(read[:30]) == 2
     assert read[36:].count(1) > 2 * read[36:].count(2) > 0
     assert passes(8.0, walks(80), (1, 206)) == passes(8.1, walks(81), (1, 206)) == 2
+
+
+def test_an_unchanged_person_is_estimated_anew_if_something_else_is_asked(
+    session: CameraSession, drawn: Estimator
+) -> None:
+    reader = drawn.models.reader
+    assert isinstance(reader, ColourReader)
+    frame = draw((0, 100))
+
+    def passes(time: float, n: int) -> int:
+        before = reader.passes
+        session.process(Upload(frame), time, n, Job())
+        return reader.passes - before
+
+    for step in range(40):
+        passes(step / 10, 3)
+    read = next(step for step in range(40, 50) if passes(step / 10, 3))
+    assert passes((read + 1) / 10, 3) == 0
+    assert passes((read + 2) / 10, 0) == 1
 
 
 def decoded(drawn: Estimator, *people: tuple[int, int]) -> DecodedUpload:
@@ -193,6 +214,22 @@ def test_a_still_scene_is_searched_rarely(
     for step in range(15, 135):
         send(session, step / 5, *people)
     assert detector.searches == 24 / interval_s
+
+
+@pytest.mark.parametrize(("flicker", "large"), [(0, True), (20, True), (0, False)])
+def test_while_nothing_changes_around_a_large_walker_searches_are_rarer(
+    session: CameraSession,
+    detector: ColourDetector,
+    monkeypatch: pytest.MonkeyPatch,
+    flicker: int,
+    large: bool,
+) -> None:
+    monkeypatch.setattr(following, "MOVENET_FROM_PX", 30.0 if large else 300.0)
+    every = UNCHANGED_SEARCH_EVERY_S if large and not flicker else SEARCH_EVERY_S
+    times = [0.201 * step for step in range(9)]
+    for step, time in enumerate(times):
+        send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
+    assert detector.searches == 1 + times[-1] // every
 
 
 def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from app.vision import background
 from app.vision.background import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
 
@@ -48,6 +49,20 @@ def test_exposure_and_noise_are_no_change(
     grain = np.random.default_rng(5).normal(0, noise, frame.shape)
     frame = np.clip(frame * gain + offset + grain, 0, 255).astype(np.uint8)
     assert iou(foreground(frame, empty), person) > 0.85
+
+
+def test_large_frames_are_compared_at_reduced_size(
+    empty: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame, person = with_person(empty)
+    exact = foreground(frame, empty)
+    monkeypatch.setattr(background, "_MAX_PX", frame[..., 0].size // 3)
+    smaller = foreground(frame, empty)
+    assert smaller.shape == exact.shape and smaller.dtype == bool
+    assert (smaller != exact).any()
+    assert iou(smaller, person) > 0.8
+    (before,), (now,) = (upright_regions(changed, 50) for changed in (smaller, exact))
+    assert before.box.iou(now.box) > 0.8
 
 
 def test_shadow_is_no_change(empty: np.ndarray) -> None:

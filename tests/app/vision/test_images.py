@@ -96,6 +96,12 @@ def test_what_is_transparent_shows_grey(form: str, hidden: int) -> None:
     assert (decoded == np.where(shown[..., None] > 0, quadrants(), 128)).all()
 
 
+def test_half_transparent_colours_are_mixed_with_grey() -> None:
+    half = np.dstack([quadrants(), np.full((40, 60), 128, np.uint8)])
+    mixed = decode_image(encode(half), max_pixels=LIMIT).pixels.astype(int)
+    assert np.abs(mixed - (quadrants().astype(int) + 128) / 2).max() <= 2
+
+
 # A 16x16 CMYK JPEG in the manner of Adobe (inverted), plain red.
 CMYK_RED = (
     "ffd8ffee000e41646f626500640000000000ffdb004300281c1e231e19282321232d2b28303c64413c37373c"
@@ -259,6 +265,23 @@ def test_a_jpeg_may_end_in_the_grey_of_missing_parts(rows: int, flags: tuple[int
     decoded = decode_image(encode(canvas, ".jpg", *flags), max_pixels=LIMIT)
     assert (decoded.pixels[rows + 16 :] == 128).all()
     assert decoded.warnings == ()
+
+
+def grey_of_bits(bits: int) -> tuple[bytes, np.ndarray]:
+    """Rows of a grey picture of 64 columns at few bits, and its values."""
+    values = np.add.outer(np.arange(40), np.arange(64)).astype(np.uint8) % 2**bits
+    rows = np.zeros((40, 8 * bits), np.uint8)
+    for first in range(8 // bits):
+        rows |= values[:, first :: 8 // bits] << (8 - bits * (first + 1))
+    return rows.tobytes(), values
+
+
+@pytest.mark.parametrize("bits", [2, 4])
+def test_tiff_of_few_bits(bits: int) -> None:
+    stored, values = grey_of_bits(bits)
+    data = tiff(stored, 64, 40, bits=bits)
+    decoded = decode_image(data, max_pixels=LIMIT).pixels
+    assert (decoded == values[..., None] * (255 // (2**bits - 1))).all()
 
 
 def test_tiff_of_unusual_kinds() -> None:
