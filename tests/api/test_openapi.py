@@ -41,13 +41,6 @@ def test_every_operation_and_field_is_described(document: dict[str, Any]) -> Non
             assert value.get("description") or target, f"{name}.{field}"
 
 
-def test_keys_are_declared_optional(document: dict[str, Any]) -> None:
-    secured = [operation for operation in operations(document) if "security" in operation]
-    assert secured
-    for operation in secured:
-        assert {} in operation["security"]
-
-
 def test_headers_of_answers_are_declared(document: dict[str, Any], client: TestClient) -> None:
     for operation in operations(document):
         for status, response in operation["responses"].items():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.overlay import LEGEND, PEOPLE
+from app.api.overlay import LEGEND
 from app.api.schemas import PoseResponse
 from index.skeleton import NATIVE
 from tests.conftest import WALKERS, Photo, png
@@ -76,13 +76,6 @@ def test_adjusted_mm_is_the_distance_from_the_entry(client: TestClient, photo: P
     assert compared >= 3
 
 
-def test_the_picture_of_a_mask_alone_is_black_around_it(client: TestClient, photo: Photo) -> None:
-    picture = decode(client.post("/pose/overlay", files={"mask": photo.mask_png}).content)
-    drawn = picture.any(axis=2)[: len(photo.mask)]  # Without the legend.
-    assert drawn[photo.mask == 1].mean() > 0.2
-    assert not drawn[:, :100].any()
-
-
 def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     frame = {"frame": STREET}
     (found,) = client.post("/pose", files=frame, data={"boxes": BOXES}).json()["persons"]
@@ -96,16 +89,6 @@ def test_a_returned_silhouette_works_as_a_mask(client: TestClient) -> None:
     assert again["facing"]["evidence"] == found["facing"]["evidence"] == "image"
     apart = points(best["joints_2d"]) - points(same["joints_2d"])
     assert np.linalg.norm(apart, axis=1).mean() < 8
-
-
-def test_silhouettes_to_look_at_have_the_labels_places(client: TestClient) -> None:
-    boxes = {"boxes": BOXES}
-    labels, view = (
-        decode(client.post(f"/silhouette{query}", files={"frame": STREET}, data=boxes).content)
-        for query in ("", "?view=1")
-    )
-    for label in range(labels.max() + 1):
-        assert (view[labels == label] == ((0, 0, 0), *PEOPLE)[label]).all()
 
 
 def test_boxes_of_another_form_show_nobody(client: TestClient) -> None:
@@ -130,7 +113,7 @@ WALLS = {
 """Pictures without people."""
 
 
-@pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60], [200, 100, 40, 40]])
+@pytest.mark.parametrize("box", [[100, 40, 60, 160], [10, 150, 200, 60]])
 @pytest.mark.parametrize("wall", WALLS)
 def test_a_box_without_a_person_gets_low_confidence(
     client: TestClient, wall: str, box: list[float]

@@ -14,7 +14,7 @@ from app.api.schemas import PoseResponse, Problem
 from tests.conftest import Photo, png
 
 relaxed = settings(
-    max_examples=40,
+    max_examples=20,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
@@ -75,7 +75,7 @@ BOXES = st.tuples(
 ).map(list)
 
 
-@relaxed
+@settings(relaxed, max_examples=10)
 @given(
     boxes=st.one_of(
         st.lists(BOXES, max_size=3),

@@ -35,7 +35,7 @@ WALKER_PX = 70
 """The three walkers of the street are taller, the two distant people smaller."""
 
 OTHER_SIDE = [NATIVE.names.index(other_side(name)) for name in NATIVE.names]
-PHOTOS = range(0, 96, 7)
+PHOTOS = range(0, 96, 24)
 PATIENT = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
 """A busy machine may take its time."""
 
@@ -86,9 +86,8 @@ def persons(
 
 
 @pytest.mark.parametrize("sent", SENT)
-@pytest.mark.parametrize("n", [1, 7, 30])
-def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str, n: int) -> None:
-    one, other = (persons(client, SENT[sent], n=n) for client in processors)
+def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str) -> None:
+    one, other = (persons(client, SENT[sent], n=14) for client in processors)
     assert one
     assert one == other
 
@@ -136,7 +135,7 @@ def test_the_rounding_of_networks_changes_no_first_hypothesis(
 
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 @pytest.mark.parametrize("sent", SENT)
-@pytest.mark.parametrize("n", [1, 3, 7, 14])
+@pytest.mark.parametrize("n", [1, 7])
 def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
     shipped: Client, sent: str, evidence: str, n: int
 ) -> None:
@@ -158,7 +157,7 @@ def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
 @pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
 def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
     many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
-    for n in (1, 2, 3, 7, 10):
+    for n in (1, 7, 10):
         for few, person in zip(
             persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
         ):

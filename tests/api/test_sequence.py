@@ -19,8 +19,8 @@ from tests.support.videos import numbered_frames, write_video
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
-    """Twelve frames of a person who stands still, at 10 fps."""
-    return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 12)
+    """Six frames of a person who stands still, at 10 fps."""
+    return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 6)
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +53,12 @@ class TestLines:
 
     def test_every_frame_has_a_line(self, client: TestClient, video: bytes) -> None:
         frames, end = parse(post(client, video, n=2))
-        assert [frame.video_frame for frame in frames] == list(range(12))
-        assert [frame.frame_index for frame in frames] == list(range(12))
-        assert [frame.timestamp for frame in frames] == [pytest.approx(n / 10) for n in range(12)]
+        assert [frame.video_frame for frame in frames] == list(range(6))
+        assert [frame.frame_index for frame in frames] == list(range(6))
+        assert [frame.timestamp for frame in frames] == [pytest.approx(n / 10) for n in range(6)]
         assert frames[0].image.width == 320
-        assert (end.reason, end.frames) == ("complete", 12)
-        assert "12 frames" in end.detail
+        assert (end.reason, end.frames) == ("complete", 6)
+        assert "6 frames" in end.detail
         listed = {person.track_id for frame in frames for person in frame.persons}
         assert {track.track_id for track in end.tracks} == listed
         assert end.events == [event for frame in frames for event in frame.events]
@@ -101,10 +101,10 @@ def hang_up_after_sending(url: str, video: bytes) -> None:
         connection.sendall(f"{head}Content-Length: {len(video)}\r\n\r\n".encode() + video)
 
 
-@pytest.fixture
-def narrow(index_path: Path, tmp_path: Path) -> Iterator[Server]:
-    """A server for one video at a time, whose log holds no error."""
-    log = tmp_path / "log"
+@pytest.fixture(scope="module")
+def narrow(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A server for one video at a time, whose log holds no error; the last test ends it."""
+    log = tmp_path_factory.mktemp("narrow") / "log"
     with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1") as running:
         yield running
     assert [line for line in log.read_text().splitlines() if '"error"' in line] == []
@@ -164,16 +164,12 @@ def test_one_caller_leaves_a_place_to_others(
         eventually(lambda: sample(client, "pose_sequences") == 0)
 
 
-def test_sigterm_ends_a_video_with_a_line(index_path: Path, long_video: bytes) -> None:
-    with (
-        running_server(index_path) as running,
-        httpx.stream(
-            "POST", f"{running.url}/sequence", files={"video": long_video}, timeout=30
-        ) as response,
-    ):
+def test_sigterm_ends_a_video_with_a_line(narrow: Server, long_video: bytes) -> None:
+    video = {"video": long_video}
+    with httpx.stream("POST", f"{narrow.url}/sequence", files=video, timeout=30) as response:
         lines = response.iter_lines()
         assert json.loads(next(lines))["type"] == "frame"
-        running.process.terminate()
+        narrow.process.terminate()
         *_, last = lines
         end = SequenceEnd.model_validate_json(last)
         assert end.reason == "shutdown"

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.camera import TRACK_BYTES, CameraSession, LateFrameError
-from app.estimation.upload import Upload, UploadError
+from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import DeadlineError, Job
 from app.tracking import actions, falls
@@ -89,16 +89,6 @@ def test_identities_and_poses_at_any_frame_rate(
         assert np.isfinite(pose.points_3d).all() and np.isfinite(pose.points_2d).all()
 
 
-def test_detected_people_enter_with_the_first_frame(session: CameraSession) -> None:
-    first = send(session, 0.0, (0, 50), (1, 200))
-    assert first.session == "new" and ids(first) == [1, 2]
-    assert events(first) == [("entered", 1), ("entered", 2)]
-    second = send(session, 0.1, (0, 50), (1, 200))
-    assert second.session == "warm" and ids(second) == [1, 2] and second.events == ()
-    assert [tracked.age_frames for tracked in second.persons] == [2, 2]
-    assert second.frame_index == 1
-
-
 @pytest.mark.parametrize("first", [0.0, 5.0])
 @pytest.mark.parametrize("step", [0.0, -1.0, float("nan"), 1e-310, 1e-9, 9e-4])
 def test_late_frames_are_refused_and_change_nothing(
@@ -171,13 +161,6 @@ def test_a_frame_that_failed_half_way_may_be_sent_again(session: CameraSession, 
     assert result.persons[0].pose is not None
     assert np.isfinite(result.persons[0].pose.points_3d).all()
     assert ids(send(session, again + 0.1, (0, 54))) == [1]
-
-
-def test_an_undecodable_frame_changes_nothing(session: CameraSession) -> None:
-    send(session, 0.0, (0, 50))
-    with pytest.raises(UploadError):
-        session.process(Upload(b"no image"), 0.1, 3, Job())
-    assert ids(send(session, 0.1, (0, 50))) == [1]
 
 
 @pytest.mark.parametrize("kind", ["mask", "boxes", "background", "mask alone"])

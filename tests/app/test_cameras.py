@@ -11,7 +11,6 @@ from app.cameras import (
     CameraSettings,
     CameraTraffic,
     NoSessionsError,
-    TooManyCamerasError,
 )
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
@@ -223,20 +222,6 @@ def test_cameras_are_known_by_a_session_or_settings_or_the_file() -> None:
     for unknown in (yard, CameraKey(1, "yard"), CameraKey(0, "roof")):
         with pytest.raises(KeyError):
             registry.summary(unknown)
-
-
-def test_settings_of_a_camera_that_has_sent_nothing_make_room() -> None:
-    registry = Registry(max_sessions=2)
-    sending = CameraSettings(optics=Optics(fov_deg=60.0))
-    for name in ("yard", "gate"):
-        registry.configure(CameraKey(0, name), sending)
-    registry.send("yard")
-    registry.configure(CameraKey(0, "roof"), sending)  # In place of the gate's.
-    assert registry.cameras() == ["roof", "yard"]
-    registry.send("roof")
-    with pytest.raises(TooManyCamerasError, match="at most 2 cameras"):
-        registry.configure(CameraKey(0, "hall"), sending)
-    registry.configure(CameraKey(1, "hall"), sending)
 
 
 def test_a_service_without_sessions_configures_no_camera() -> None:

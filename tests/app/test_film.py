@@ -125,21 +125,6 @@ def summarised(*frames: tuple[float, list[TrackedPerson]]) -> VideoSummary:
     return summary
 
 
-def test_each_person_has_a_track() -> None:
-    summary = summarised(
-        (1.0, [person(7, "walking")]),
-        (1.5, [person(7, "walking"), person(9, "standing")]),
-        (2.0, [person(9, "standing")]),
-    )
-    assert summary.frames == 3
-    assert [event.track_id for event in summary.events] == [1, 2, 3]
-    found = {
-        number: (track.first_timestamp, track.last_timestamp, track.frames)
-        for number, track in summary.tracks.items()
-    }
-    assert found == {7: (1.0, 1.5, 2), 9: (1.5, 2.0, 2)}
-
-
 def test_a_posture_lasts_until_the_next_frame() -> None:
     summary = summarised(
         (0.0, [person(1, "walking")]),

@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,8 +17,7 @@ from app.settings import Settings
 from index.artefact import ArtefactError, load_index
 from index.search import Neighbours, SearchUnavailableError
 from index.store import PoseIndex
-from scripts.index.writer import save_index
-from tests.conftest import Photo
+from tests.conftest import INDEXES, Photo
 from tests.support.service import check_problem, eventually, sample, send
 
 
@@ -97,22 +95,11 @@ def test_requests_that_search_are_refused_and_all_others_answered(
     assert client.post("/pose", files=photo.files).status_code == 200
 
 
-def test_a_failure_leaves_a_camera_session_usable(
+def test_another_index_is_served_once_it_is_published(
     client: TestClient, milvus: FakeMilvus, photo: Photo
 ) -> None:
-    answers = []
-    for milvus.error in (None, AWAY, None):
-        response = send(client, photo)
-        answers.append((response.status_code, response.headers["x-session"]))
-    assert answers == [(200, "new"), (503, "warm"), (200, "warm")]
-
-
-def test_another_index_is_served_once_it_is_published(
-    client: TestClient, milvus: FakeMilvus, photo: Photo, tmp_path: Path
-) -> None:
     assert send(client, photo).headers["x-session"] == "new"
-    save_index(replace(milvus.published, name="others"), tmp_path / "others")
-    milvus.published = load_index(tmp_path / "others")
+    milvus.published = load_index(INDEXES / "toy")
     version = milvus.published.version
     eventually(lambda: client.get("/index").json()["version"] == version)
     assert sample(client, "pose_camera_sessions_ended_total", reason="index") == 1

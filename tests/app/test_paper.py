@@ -3,17 +3,15 @@
 import cv2
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from app.camera import CameraSession
 from app.estimation.upload import Upload
-from app.paper import detect_people, likely_shape
+from app.paper import likely_shape
 from app.photograph import Estimator, MethodError, load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.store import PoseIndex
 from tests.conftest import ROOT, WALKERS, Photo
-from tests.golden.pictures import png
 
 DATA = ROOT / "tests" / "data"
 STREET = WALKERS.read_bytes()
@@ -23,12 +21,6 @@ STREET = WALKERS.read_bytes()
 def paper(settings: Settings) -> Estimator:
     """An estimator by the paper's method over the tiny index."""
     return load_estimator(settings.model_copy(update={"method": "paper"}))
-
-
-def test_people_are_found_by_hog(street: NDArray[np.uint8], walkers: list[Box]) -> None:
-    found = detect_people(street)
-    for walker in walkers:
-        assert max(walker.iou(one.box) for one in found) > 0.5
 
 
 def test_every_walker_has_entries_in_the_order_of_their_distances(
@@ -54,13 +46,6 @@ def test_skeletons_lie_over_the_silhouette(paper: Estimator, photo: Photo) -> No
     assert best.points_2d[:19] == pytest.approx(photo.joints_2d, abs=0.1)
 
 
-def test_a_callers_mask_is_the_silhouette(paper: Estimator, photo: Photo) -> None:
-    (person,) = paper.estimate(Upload(mask=photo.mask_png)).persons
-    assert person.source == "mask"
-    assert person.silhouette is not None
-    assert np.array_equal(person.silhouette.mask(photo.mask.shape), photo.mask > 0)
-
-
 def test_a_callers_box_is_cut_out(paper: Estimator, photo: Photo) -> None:
     (person,) = paper.estimate(Upload(photo.frame_png, boxes=[Box(150, 39, 48, 130)])).persons
     assert person.source == "boxes"
@@ -75,10 +60,6 @@ def test_a_background_cuts_out_whom_hog_detects(paper: Estimator) -> None:
     assert persons
     for person in persons:
         assert person.silhouette is not None and person.silhouette.segmenter == "background"
-
-
-def test_an_empty_frame_has_nobody(paper: Estimator) -> None:
-    assert not paper.estimate(Upload(png(np.full((120, 160, 3), 127, np.uint8)))).persons
 
 
 def test_asked_of_an_estimator_with_networks_the_answer_is_the_same(

@@ -11,7 +11,6 @@ import pytest
 from numpy.typing import NDArray
 
 from app import photograph
-from app.camera import CameraSession
 from app.estimation.results import Person
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator, fit_poses, network_threads, normalise_person
@@ -334,19 +333,6 @@ def test_a_turned_camera_sees_the_people_of_an_upright_one(
         assert (mask_of(person, turned.shape) == mask).all()
 
 
-def test_people_before_a_turned_camera_stand(
-    estimator: Estimator, street: NDArray[np.uint8]
-) -> None:
-    turned = np.rot90(street).copy()
-    session = CameraSession(estimator)
-    for step in range(4):
-        upload = Upload(turned, optics=Optics(roll_deg=90))
-        seen = session.process(upload, step / 5, 5, Job())
-        assert {event.event for event in seen.events} <= {"entered"}
-    assert len(seen.persons) >= 2
-    assert all(one.posture and one.posture.label not in LOW for one in seen.persons)
-
-
 def test_a_person_half_behind_another_is_found(
     estimator: Estimator, street: NDArray[np.uint8], walker: Person
 ) -> None:
@@ -356,7 +342,7 @@ def test_a_person_half_behind_another_is_found(
     fit the reading of the person in front.
     """
     missed = set()
-    for size, shift in [(1, -14), *product((1, 2, 3), (-18, 16, 18, 24))]:
+    for size, shift in [(1, -14), *product((1, 3), (-18, 16, 18, 24))]:
         frame, mask = (
             cv2.resize(image, None, fx=size, fy=size, interpolation=cv2.INTER_NEAREST)
             for image in (street, mask_of(walker, street.shape))

@@ -1,5 +1,8 @@
 """The application while its index is loading, and when loading fails."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 from fastapi.testclient import TestClient
 
@@ -33,3 +36,12 @@ def test_probes_report_any_error_in_loading(
         assert response.status_code == 503
         assert "internals" not in response.text
         assert "ZeroDivisionError" in caplog.text
+
+
+def test_a_corrupted_index_is_reported_and_not_served(index_path: Path, tmp_path: Path) -> None:
+    corrupted = shutil.copytree(index_path, tmp_path / "index")
+    vectors = corrupted / "descriptors.faiss.xz"
+    vectors.write_bytes(vectors.read_bytes()[:-10])
+    with TestClient(create_app(Settings(index=corrupted))) as client:
+        eventually(lambda: "truncated" in check_problem(client.get("/readyz"), 503))
+        check_problem(client.post("/pose", files={"frame": b"x"}), 503)

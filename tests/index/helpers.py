@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.artefact import version_of
+from index.confidence import RERANKING_FEATURES, Calibration, signs
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.posture import SILHOUETTE_GROUPS
+from index.reranking import RankingModel
 from index.silhouette_posture import INPUTS, UNITS, PostureNetwork
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
@@ -31,6 +33,13 @@ def random_network(seed: int) -> JointNetwork:
             Layer(weights, np.full(outputs, factor, np.float32), offsets.astype(np.float32))
         )
     return JointNetwork(tuple(layers))
+
+
+def random_reranker() -> RankingModel:
+    """A network that has learned nothing, with its calibration."""
+    weights = tuple((0.1 * signs(RERANKING_FEATURES)).tolist())
+    calibration = Calibration(weights, -0.2, RERANKING_FEATURES)
+    return RankingModel(random_network(1), calibration, {"passes": 0})
 
 
 def random_postures(seed: int) -> PostureNetwork:

@@ -1,17 +1,17 @@
 """The artefact: the same on disk as in memory, or refused in one sentence."""
 
-import dataclasses
 import gc
 import hashlib
+import io
 import json
 import lzma
 import pickle
 import re
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import faiss
@@ -20,10 +20,9 @@ import pytest
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
-from descriptor.descriptor import DiscriminantDescriptor
+from index import DEFAULT_PATH
 from index.artefact import (
     FORMAT_VERSION,
-    POSTURES_NPZ,
     RERANKING_JSON,
     RERANKING_NPZ,
     ArtefactError,
@@ -31,59 +30,9 @@ from index.artefact import (
     load_index,
     read_array,
 )
-from index.reranking import RankingModel
-from index.search import ExactNeighbours
 from index.store import ENTRY_DTYPE, PoseIndex
-from scripts.index.writer import npy_bytes, save_index, save_postures, save_reranker
-from tests.index.helpers import contents, random_network, random_postures, seal
-
-
-class TestRoundTrip:
-    def test_loads_what_was_saved(self, toy_index: PoseIndex, saved: Path) -> None:
-        back = load_index(saved)
-        assert back.version.startswith("sha256:")
-        for field in ("name", "clips", "subjects", "actions", "parameters", "descriptor"):
-            assert getattr(back, field) == getattr(toy_index, field)
-        for field in ("vectors", "entries", "skeletons", "skeleton_labels"):
-            assert_array_equal(getattr(back, field), getattr(toy_index, field))
-        everything = np.arange(len(toy_index))
-        assert_array_equal(back.silhouettes(everything), toy_index.silhouettes(everything))
-
-    def test_learned_descriptors_travel_with_the_index(
-        self, toy_index: PoseIndex, tmp_path: Path
-    ) -> None:
-        projection = np.random.default_rng(0).normal(size=(6, 28, 14)).astype(np.float32)
-        projection[:4, :, 1::2] = 0
-        projection[4:, :, 0::2] = 0
-        learned = DiscriminantDescriptor(projection.reshape(6, -1))
-        silhouettes = toy_index.silhouettes(np.arange(len(toy_index)))
-        vectors = learned.describe(silhouettes)
-        index = dataclasses.replace(toy_index, descriptor=learned, vectors=ExactNeighbours(vectors))
-        save_index(index, tmp_path / "learned")
-        back = load_index(tmp_path / "learned")
-        assert_array_equal(back.descriptor.describe(silhouettes), index.vectors[:])
-        assert_array_equal(back.descriptor.mirror(vectors), learned.mirror(vectors))
-
-    def test_same_index_twice_gives_the_same_bytes(
-        self, toy_index: PoseIndex, saved: Path, tmp_path: Path
-    ) -> None:
-        version = save_index(toy_index, tmp_path / "again")
-        assert contents(tmp_path / "again") == contents(saved)
-        assert load_index(saved).version == version
-
-    @pytest.mark.parametrize("field", ["name", "parameters", "vectors", "skeletons", "actions"])
-    def test_any_change_of_content_changes_the_version(
-        self, toy_index: PoseIndex, saved_once: Path, tmp_path: Path, field: str
-    ) -> None:
-        changed = {
-            "name": "other",
-            "parameters": {**toy_index.parameters, "seed": 8},
-            "vectors": ExactNeighbours(toy_index.vectors[:] + np.float32(1e-3)),
-            "skeletons": toy_index.skeletons + np.float16(0.01),
-            "actions": tuple(reversed(toy_index.actions)),
-        }[field]
-        other = dataclasses.replace(toy_index, **{field: changed})
-        assert save_index(other, tmp_path / "other") != load_index(saved_once).version
+from tests.conftest import INDEXES
+from tests.index.helpers import seal
 
 
 class TestRefusal:
@@ -184,16 +133,11 @@ class TestRefusal:
 
 
 class TestFind:
-    def test_the_artefact_of_a_version_is_found_alone_or_among_others(
-        self, toy_index: PoseIndex, tmp_path: Path
-    ) -> None:
-        other = dataclasses.replace(toy_index, name="other")
-        versions = {
-            tmp_path / name: save_index(index, tmp_path / name)
-            for name, index in (("first", toy_index), ("second", other))
-        }
-        for path, version in versions.items():
-            assert find_artefact(tmp_path, version) == path
+    def test_the_artefact_of_a_version_is_found_alone_or_among_others(self) -> None:
+        for name in ("sticks", "toy"):
+            path = INDEXES / name
+            version = load_index(path).version
+            assert find_artefact(INDEXES, version) == path
             assert find_artefact(path, version) == path
 
     def test_what_is_not_there_or_not_whole_is_not_found(self, saved: Path, tmp_path: Path) -> None:
@@ -207,50 +151,11 @@ class TestFind:
 
 
 @pytest.fixture
-def with_network(saved: Path, reranker: RankingModel) -> Path:
-    save_reranker(reranker, saved)
+def with_network(saved: Path) -> Path:
+    """The index with the networks of the one that ships."""
+    for name in (RERANKING_JSON, RERANKING_NPZ):
+        shutil.copy(DEFAULT_PATH / name, saved)
     return saved
-
-
-def test_postures_lie_beside_the_network_that_they_read(
-    saved: Path, reranker: RankingModel
-) -> None:
-    taught = replace(reranker, postures=random_postures(1))
-    save_reranker(taught, saved)
-    back = load_index(saved).reranker
-    assert back is not None and back.postures is not None and taught.postures is not None
-    for name, array in taught.postures.arrays().items():
-        assert_array_equal(back.postures.arrays()[name], array)
-    kept = (saved / POSTURES_NPZ).read_bytes()
-    save_postures(taught.postures, saved)
-    assert (saved / POSTURES_NPZ).read_bytes() == kept
-    # Another network makes other values of the same silhouette.
-    save_reranker(replace(reranker, network=random_network(7)), saved)
-    assert not (saved / POSTURES_NPZ).exists()
-    (saved / POSTURES_NPZ).write_bytes(kept)
-    with pytest.raises(ArtefactError, match="trained for another network"):
-        load_index(saved)
-    (saved / POSTURES_NPZ).write_bytes(kept[:-40])
-    with pytest.raises(ArtefactError, match="do not hold together"):
-        load_index(saved)
-
-
-def test_saved_network_is_loaded(with_network: Path, reranker: RankingModel) -> None:
-    back = load_index(with_network).reranker
-    assert back is not None
-    assert back.calibration == reranker.calibration
-    assert back.training == reranker.training
-    assert_array_equal(back.network.layers[-1].offsets, reranker.network.layers[-1].offsets)
-
-
-def test_index_is_saved_with_its_network(
-    reranked: PoseIndex, with_network: Path, tmp_path: Path
-) -> None:
-    save_index(reranked, tmp_path / "again")
-    assert all(
-        (tmp_path / "again" / name).read_bytes() == (with_network / name).read_bytes()
-        for name in (RERANKING_JSON, RERANKING_NPZ)
-    )
 
 
 def altered(content: bytes) -> bytes:
@@ -285,6 +190,12 @@ def test_damaged_network_is_refused_in_one_sentence(
     with pytest.raises(ArtefactError, match=said) as error:
         load_index(with_network)
     assert "\n" not in str(error.value)
+
+
+def npy_bytes(array: NDArray[np.generic]) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return stream.getvalue()
 
 
 def written(folder: Path, array: NDArray[np.generic], *, compressed: bool) -> tuple[Path, str]:

@@ -71,12 +71,6 @@ def test_landmark_rotations_are_the_usual_one_and_that_of_the_trunk(
     assert apart(nearest) <= 12
 
 
-def test_a_leaning_trunk_is_searched_along_the_silhouettes_axis() -> None:
-    assert landmark_rotations((0.0, 37.0, -143.0), 41.0) == (0.0, 37.0)
-    assert landmark_rotations((0.0, 37.0, -143.0), 3.0) == (0.0,)
-    assert landmark_rotations(UPRIGHT, 41.0) == (0.0, 41.0)
-
-
 @pytest.mark.parametrize("number", range(3, 576, 83))
 def test_candidates_are_the_nearest_entries_and_mirror_images(
     toy_index: PoseIndex, number: int

@@ -51,12 +51,6 @@ def test_calibration_over_other_features_is_refused() -> None:
         Calibration.restore({})
 
 
-@pytest.mark.parametrize("weights", [(1.0,), (float("nan"),) * COUNT, (1.0,) * (COUNT + 1)])
-def test_invalid_weights_are_refused(weights: tuple[float, ...]) -> None:
-    with pytest.raises(ValueError, match="finite weights and a finite bias"):
-        Calibration(weights, 0.0)
-
-
 @pytest.mark.parametrize("features", [FEATURES, RERANKING_FEATURES])
 def test_no_confidence_rises_with_the_reprojection_error(features: tuple[str, ...]) -> None:
     """Nor with the distance from the database: such a calibration is refused."""

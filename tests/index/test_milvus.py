@@ -1,5 +1,6 @@
 """An index published in Milvus, and searched there: Milvus Lite, in this process."""
 
+import shutil
 import socket
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,8 @@ import pytest
 from index.artefact import ArtefactError, load_index
 from index.search import SearchUnavailableError
 from index.store import PoseIndex
-from scripts.index.writer import save_index
-from tests.conftest import build_tiny_index
+from tests.conftest import INDEXES
+from tests.index.helpers import seal
 
 pytest.importorskip("milvus_lite", reason="needs the extra milvus")
 
@@ -27,7 +28,8 @@ def artefacts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of two versions of the tiny index."""
     folder = tmp_path_factory.mktemp("artefacts")
     for number in (1, 2):
-        save_index(build_tiny_index(seed=number), folder / str(number))
+        shutil.copytree(INDEXES / "sticks", folder / str(number))
+    seal(folder / "2", lambda manifest: manifest.update(name="other"))
     return folder
 
 

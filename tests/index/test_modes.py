@@ -141,12 +141,6 @@ def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
     assert len(modes_of(found, 5, fit=fit)) == 1
 
 
-def test_modes_check_their_shapes() -> None:
-    modes = modes_of(candidates_of(np.zeros(2), np.ones((1, 2)), some_pose()[None]), 1)
-    with pytest.raises(ValueError, match="expected arrays of shapes"):
-        replace(modes, votes=np.ones(2))
-
-
 def test_rounding_does_not_choose_among_equal_densities() -> None:
     rng = np.random.default_rng(0)
     # One pose, tilted by a hair: the sums of its kernels differ by rounding alone.
@@ -192,18 +186,3 @@ def test_alternatives_move_to_the_means_of_their_cells_and_zero_stays(
     cells = np.linalg.norm(truths[:, None] - [zero, *others], axis=-1).argmin(axis=1)
     moved = [truths[cells == row + 1].mean(axis=0) for row in range(count)]
     assert np.linalg.norm(np.array(moved) - others) < 0.5  # Five steps of Lloyd's algorithm.
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_certain_depths_have_no_alternatives(seed: int) -> None:
-    limbs = np.eye(len(LIMBS))
-    assert np.abs(depths_about(seed, 1e-6 * limbs).offsets).max() < 0.03
-
-
-def test_fewer_alternatives_than_asked_for_few_candidates() -> None:
-    pose = some_pose()
-    found = candidates_of(np.zeros(6), np.ones((1, 6)), pose[None])
-    landmarks = landmarks_of(100 * pose[:, :2], pose)
-    agreement = landmarks.compare(found.points_normalised, found.points_3d)
-    depths = depth_modes(found, landmarks, agreement, 5)
-    assert np.isfinite(depths.offsets).all()

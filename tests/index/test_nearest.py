@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from index.candidates import RotatedQuery, silhouette_rotations
 from index.matching import Query
 from index.nearest import (
-    distances_outside,
     match_nearest,
     nearest_entries,
     reprojection_confidence,
@@ -120,11 +119,3 @@ def test_the_confidence_falls_as_a_joint_leaves_the_silhouette(tiny_index: PoseI
         confidences.append(float(reprojection_confidence(reprojection_errors(query, moved))[0]))
     assert confidences == sorted(confidences, reverse=True)
     assert confidences[0] > confidences[-1]
-
-
-def test_distances_of_joints_outside() -> None:
-    silhouette = np.zeros((128, 48), np.uint8)
-    silhouette[40:80, 20:30] = 1
-    points = np.array([[25.0, 60.0], [35.0, 60.0], [25.0, 90.0], [-4.0, 60.0], [25.0, 150.0]])
-    expected = [0, 6, 11, 24, 71]
-    assert distances_outside(silhouette, points) == pytest.approx(expected, abs=0.6)

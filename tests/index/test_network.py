@@ -104,24 +104,6 @@ class TestPosteriorMeans:
         expected = prior + share * (joints(16, 36, 16) - prior)
         assert_allclose(means, expected, atol=2e-3)
 
-    def test_uniform_distributions_move_nothing(self) -> None:
-        blank = Distributions(log_softmax(np.zeros((JOINTS, JOINT_BINS), np.float32)))
-        prior = joints(14.3, 38.6, 15.2)
-        assert_allclose(blank.posterior_means(prior, (3.0, 3.0, 0.1)), prior, atol=2e-2)
-
-    def test_distant_peak_does_not_attract_a_joint(self) -> None:
-        logits = np.zeros((JOINTS, JOINT_BINS), np.float32)
-        logits[:, 10], logits[:, 20] = 8, 10
-        seen = Distributions(log_softmax(logits))
-        means = seen.posterior_means(joints(10.5, 40, 16), (3.0, 3.0, 0.04))
-        assert_allclose(means[..., 0], AXES[0].first + AXES[0].step * 10, atol=0.2)
-
-
-def test_input_is_the_majority_of_four_pixels(toy_index: PoseIndex) -> None:
-    silhouette = toy_index.silhouette(3)
-    doubled = np.repeat(np.repeat(silhouette[::2, ::2], 2, axis=0), 2, axis=1)
-    assert_array_equal(network_input(doubled[None])[0, ..., 0], silhouette[::2, ::2])
-
 
 def test_predicted_positions_are_likeliest() -> None:
     seen = certain(10, 40, 16)
@@ -129,13 +111,6 @@ def test_predicted_positions_are_likeliest() -> None:
     assert there == pytest.approx(seen.peak(), abs=1e-6)
     for other in ((12, 40, 16), (10, 43, 16), (10, 40, 11)):
         assert seen.log_likelihood(joints(*other))[0] < there - 1
-
-
-def test_likelihood_is_interpolated_between_bins() -> None:
-    seen = certain(10, 40, 16)
-    values = [seen.log_likelihood(joints(c, 40, 16))[0] for c in np.linspace(10, 11, 11)]
-    steps = np.diff(values)
-    assert_allclose(steps, steps[0], rtol=1e-3)
 
 
 def test_expected_errors_equal_those_of_random_draws(

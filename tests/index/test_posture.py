@@ -212,12 +212,6 @@ def test_elevation_of_a_level_trunk_is_the_cameras(
     assert lying_elevation_deg(seen) == pytest.approx([elevation], abs=1e-6)
 
 
-@given(azimuth=st.floats(0, 360), elevation=st.floats(-90, 90))
-def test_elevation_is_limited_to_that_of_cameras(azimuth: float, elevation: float) -> None:
-    found = lying_elevation_deg(SKELETONS @ camera_rotation(azimuth, elevation).T)
-    assert ((found >= 0) & (found <= 70)).all()
-
-
 @given(
     grouped=st.lists(st.floats(0, 1), min_size=6, max_size=6).filter(lambda one: sum(one) > 0),
     votes=st.lists(st.floats(0, 1), min_size=10, max_size=10).filter(lambda one: sum(one) > 0),

@@ -12,7 +12,7 @@ from index.landmark_matching import match_landmarks
 from index.modes import candidate_weights, find_modes
 from index.ranking import NetworkRanking
 from index.reranking import RankingModel
-from index.skeleton import JOINTS, bone_lengths, pixels_per_metre, rows
+from index.skeleton import JOINTS, bone_lengths, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of
 
@@ -65,17 +65,6 @@ def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
     for before, after in zip(modes.points_3d, fitted.points_3d, strict=True):
         assert_allclose(bone_lengths(after), bone_lengths(before), rtol=1e-6)
         assert_allclose(after[JOINTS:] - after[HEAD], before[JOINTS:] - before[HEAD], atol=1e-9)
-
-
-def test_fit_moves_skeleton_and_picture_alike(
-    ranking: NetworkRanking, candidates: Candidates
-) -> None:
-    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
-    fitted = ranking.fit(modes)
-    metres = (fitted.points_3d - modes.points_3d)[..., :2]
-    pixels = fitted.points_normalised - modes.points_normalised
-    scale = pixels_per_metre(modes.points_3d, modes.points_normalised)[:, None, None]
-    assert_allclose(pixels - pixels[:, :1], metres * scale, atol=1e-9)
 
 
 def test_network_is_not_used_with_landmarks(toy_index: PoseIndex, reranked: PoseIndex) -> None:

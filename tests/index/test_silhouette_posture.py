@@ -14,7 +14,6 @@ from index.posture import POSTURES, SILHOUETTE_GROUPS, UPRIGHT, PostureName, vot
 from index.reranking import RankingModel
 from index.silhouette_matching import match_silhouette
 from index.silhouette_posture import (
-    PostureNetwork,
     posture_inputs,
 )
 from index.store import PoseIndex
@@ -67,14 +66,6 @@ def test_either_end_and_either_side_may_be_up(roll_deg: float) -> None:
     for same in (-roll_deg, 180 - roll_deg, roll_deg - 180):
         assert_allclose(posture_inputs(hidden(1), same), given, atol=1)
     assert (posture_inputs(hidden(1), 0.0)[HIDDEN:] == 0).all()
-
-
-def test_stored_arrays_give_the_same_network() -> None:
-    back = PostureNetwork.restore(NETWORK.arrays())
-    votes = vote_posture(POSTURES, np.arange(1, 11).tolist())
-    assert_array_equal(back.shares(hidden(3), 90.0, votes), NETWORK.shares(hidden(3), 90.0, votes))
-    with pytest.raises(ValueError, match="expected a network of postures"):
-        PostureNetwork(NETWORK.layers[::-1], 0.5)
 
 
 def test_a_mirror_image_is_in_the_same_posture(

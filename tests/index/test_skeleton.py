@@ -10,8 +10,6 @@ from index.skeleton import (
     H36M17,
     JOINTS,
     KEYPOINT_SETS,
-    LIMB_SHOULDERS,
-    LIMBS,
     NATIVE,
     POINT_NAMES,
     POINTS,
@@ -21,8 +19,6 @@ from index.skeleton import (
     exchange_sides,
     mirror_3d,
     mirror_normalised,
-    moved_in_depth,
-    pixels_per_metre,
     project,
     rotate_clockwise,
     rows,
@@ -154,21 +150,6 @@ class TestRotateClockwise:
         assert_allclose(rotate_clockwise(upright, angle), rolled, atol=1e-9)
 
 
-def test_moved_limbs_carry_toes_head_and_spine() -> None:
-    points, offsets = np.zeros((POINTS, 3)), np.zeros((2, len(LIMBS)))
-    offsets[0, LIMBS.index("left_ankle")] = 0.3
-    offsets[1, LIMB_SHOULDERS] = 0.2
-    one, other = moved_in_depth(points, offsets)[..., 2]
-    assert_allclose(one[rows("left_ankle", "left_toe", "right_toe", "head")], [0.3, 0.3, 0, 0])
-    assert_allclose(other[rows("pelvis", "neck", "nose")], [0, 0.2, 0.2])
-    assert 0 < other[rows("spine")[0]] < other[rows("chest")[0]] < 0.2
-
-
-def test_bones_without_direction_stay_finite() -> None:
-    lengths = bone_lengths(some_points(3)[0])
-    assert np.isfinite(with_bone_lengths(np.zeros((POINTS, 3)), lengths)).all()
-
-
 @given(seed=st.integers(0, 999))
 def test_bone_lengths_are_set_as_if_bone_by_bone(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -182,12 +163,3 @@ def test_bone_lengths_are_set_as_if_bone_by_bone(seed: int) -> None:
     found = with_bone_lengths(points, lengths)
     assert_allclose(found, expected, atol=1e-12)
     assert_allclose(bone_lengths(found), lengths, atol=1e-12)
-
-
-@pytest.mark.parametrize("points", [JOINTS, POINTS])
-def test_scale_of_a_projection_from_joints_or_all_points(points: int) -> None:
-    points_3d = np.random.default_rng(0).normal(size=(3, POINTS, 3))
-    scales = np.array([20.0, 80.0, 300.0])
-    points_2d = scales[:, None, None] * points_3d[..., :2] + (5.0, 9.0)
-    points_2d[:, points:] = 1e6
-    assert_allclose(pixels_per_metre(points_3d, points_2d, points), scales)

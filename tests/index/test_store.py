@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from index.search import ExactNeighbours
 from index.store import PoseIndex
-from scripts.index.writer import compress
 
 
 class TestConstruction:
@@ -18,11 +17,6 @@ class TestConstruction:
             ("vectors", np.zeros((3, 48), np.float32), r"expected vectors of shape \(576, 48\)"),
             ("skeletons", np.zeros((1, 19, 3), np.float16), "expected skeletons of shape"),
             ("skeletons", np.zeros((1, 24, 3), np.float16), "expected skeletons of shape"),
-            (
-                "silhouette_store",
-                compress(np.zeros((2, 768), np.uint8)),
-                "expected 576 silhouettes, got 2",
-            ),
         ],
     )  # fmt: skip
     def test_parts_must_fit(
@@ -38,6 +32,11 @@ class TestConstruction:
                 skeletons=toy_index.skeletons[:5],
                 skeleton_labels=toy_index.skeleton_labels[:5],
             )
+
+    def test_silhouettes_must_be_as_many(self, toy_index: PoseIndex) -> None:
+        few = toy_index.silhouette_store.select([0, 1])
+        with pytest.raises(ValueError, match="expected 576 silhouettes, got 2"):
+            dataclasses.replace(toy_index, silhouette_store=few)
 
     def test_empty_index_is_refused(self, toy_index: PoseIndex) -> None:
         with pytest.raises(ValueError, match="at least one entry"):

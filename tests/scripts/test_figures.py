@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from scripts import figures
-from scripts.figures import RESULTS, rendered, report_section, rows_of, updated
+from scripts.figures import RESULTS, rendered, report_section, updated
 
 FUZZ = {
     "clients": 2,
@@ -72,14 +72,6 @@ def test_a_figure_that_is_missing_is_named(results: Path) -> None:
     (results / "documents" / "one.md").write_text("{real.left}\n")
     with pytest.raises(KeyError, match=r"expected a figure real\.left"):
         updated("<!-- figures: one -->\n<!-- end of figures -->\n", results)
-
-
-def test_rows_are_named_by_their_keys() -> None:
-    cars = {"cars": {"red_ones": {"all": {"n": 1}}, "others": {"odd_ones": {"n": 2}}}}
-    assert list(rows_of(cars, "cars.*")) == [
-        {"group": "red ones", "name": "all", "slug": "all", "value": {"n": 1}, "n": 1},
-        {"group": "others", "name": "odd ones", "slug": "odd-ones", "value": {"n": 2}, "n": 2},
-    ]
 
 
 def test_a_measurement_replaces_its_own_section_alone(tmp_path: Path) -> None:

@@ -40,9 +40,7 @@ def test_every_command_is_there(name: str) -> None:
     inspect.signature(imported.main).bind([])
 
 
-@pytest.mark.parametrize(
-    "command", ["pictures people", "evaluate real", "evaluate people", "evaluate tracking"]
-)
+@pytest.mark.parametrize("command", ["pictures people", "evaluate real"])
 def test_without_data(command: str, tmp_path: Path) -> None:
     name, *names = command.split()
     ended = RUN(name, *names, "--shared", tmp_path)

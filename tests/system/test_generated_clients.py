@@ -174,43 +174,6 @@ def generate(generator: str, folder: Path, *options: str) -> Path:
     return folder
 
 
-def test_openapi_generators_python_client_calls_every_route(
-    server: Server,
-    photo: Photo,
-    calls: dict[str, tuple[Any, ...]],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for needed in ("urllib3", "dateutil"):
-        pytest.importorskip(needed, reason=f"needs {needed}, which the generated client uses")
-    monkeypatch.syspath_prepend(generate("python", tmp_path))
-    client = importlib.import_module("openapi_client")
-    answers = {}
-    with client.ApiClient(client.Configuration(host=server.url)) as connection:
-        for name, (parameters, *body) in calls.items():
-            if body and body[0] == "CameraConfiguration":
-                model = client.CameraConfiguration.from_dict(body[1])
-                parameters = {**parameters, "camera_configuration": model}
-            elif body:
-                files = {k: ("f", v) if isinstance(v, bytes) else v for k, v in body[1].items()}
-                parameters = {**parameters, **files}
-            api = getattr(client, f"{operations()[name][0].title()}Api")(connection)
-            if name == "analyse_sequence":  # It reads no lines of JSON itself.
-                answer = api.analyse_sequence_without_preload_content(**parameters)
-                answers[name] = answer.data
-            else:
-                answers[name] = getattr(api, name)(**parameters)
-        check(answers, photo)
-        track = client.CamerasApi(connection).track_frame
-        for at in TIMES:  # In the query: it cannot write the numbers of a form with a file.
-            answer = track("generator", frame=("f", photo.frame_png), timestamp=at)
-            assert answer.timestamp == at
-        client.CamerasApi(connection).forget_camera("generator")
-        with pytest.raises(client.ApiException) as caught:
-            client.PoseApi(connection).estimate_pose(frame=("f", b"?"))
-    assert caught.value.status == 400
-
-
 def test_go_posts_a_photograph_and_four_frames(
     server: Server, photo: Photo, tmp_path: Path
 ) -> None:

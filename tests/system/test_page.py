@@ -2,7 +2,6 @@
 
 import json
 import re
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -74,21 +73,6 @@ def test_the_keyboard_selects_and_rotates(page: Any, pictures: list[str]) -> Non
     assert solid.evaluate("c => c.toDataURL()") != still
 
 
-def test_the_tallest_person_is_selected_first(page: Any, tmp_path: Path) -> None:
-    labels = np.zeros((240, 320), np.uint8)
-    labels[100:160, 30:60], labels[60:200, 200:260] = 1, 2
-    paths = [tmp_path / "two.png", tmp_path / "two_mask.png"]
-    paths[0].write_bytes(png(np.full((240, 320, 3), 90, np.uint8)))
-    paths[1].write_bytes(png(labels))
-    page.set_input_files("#file", [str(path) for path in paths])
-    page.locator("#hypotheses .card").first.wait_for()
-    assert page.locator("#persons input").nth(1).is_checked()
-    close_up = page.locator("#close-up")
-    second = close_up.evaluate("c => c.toDataURL()")
-    page.locator("#persons input").first.check()
-    assert close_up.evaluate("c => c.toDataURL()") != second
-
-
 def test_after_an_error_the_old_answer_is_dimmed(
     page: Any, pictures: list[str], tmp_path: Path
 ) -> None:
@@ -114,27 +98,6 @@ def test_finding_nobody_is_no_error(page: Any, tmp_path: Path) -> None:
     page.get_by_text("Nobody was found").wait_for()
     assert page.locator("#message").is_hidden()
     assert page.locator("[role=alert]:visible").count() == 0
-
-
-def test_a_second_photograph_is_mentioned(
-    page: Any, photo: Photo, pictures: list[str], tmp_path: Path
-) -> None:
-    (tmp_path / "yard.png").write_bytes(photo.frame_png)
-    (tmp_path / "street_background.png").write_bytes(photo.frame_png)
-    page.set_input_files("#file", [pictures[0], str(tmp_path / "yard.png")])
-    page.get_by_text("street.png is shown, yard.png left out").wait_for()
-    page.set_input_files("#file", [str(tmp_path / "street_background.png"), *pictures])
-    page.get_by_text("street.png is shown, street_background.png left out").wait_for()
-
-
-def test_99_hypotheses_become_50(page: Any, pictures: list[str]) -> None:
-    page.get_by_text("Settings").click()
-    page.locator("#count").fill("99")
-    with page.expect_response("**/pose?*") as answer:
-        page.set_input_files("#file", pictures)
-    assert "n=50&" in answer.value.url
-    page.get_by_text("50 instead of 99").wait_for()
-    assert page.locator("#count").input_value() == "50"
 
 
 def test_a_large_photograph_is_sent_small_and_shown_large(page: Any, tmp_path: Path) -> None:
@@ -174,49 +137,6 @@ def test_silhouettes_are_drawn_as_in_the_answer(page: Any) -> None:
     assert np.array_equal(np.reshape(alpha, (240, 320)) > 0, mask)
 
 
-def test_observed_keypoints_are_shown_if_they_were_used(page: Any) -> None:
-    page.set_input_files("#file", str(WALKERS))
-    page.locator("#hypotheses .card").first.wait_for()
-    assert re.search(r"\d+ of 17 seen", page.locator("#facts").inner_text())
-    stage = page.locator("#stage")
-    shown = stage.evaluate("c => c.toDataURL()")
-    page.locator("#show-observed").set_checked(False)
-    assert stage.evaluate("c => c.toDataURL()") != shown
-    page.get_by_text("Settings").click()
-    with page.expect_response("**/pose?*") as answer:
-        page.locator("#evidence").select_option("silhouette")
-    assert "evidence=silhouette" in answer.value.url
-    page.get_by_text("not read").wait_for()
-    assert "&evidence=silhouette'" in page.locator("#curl").inner_text()
-
-
-def test_the_picture_comes_first_and_a_phone_page_is_short(page: Any) -> None:
-    page.set_input_files("#file", str(WALKERS))
-    page.locator("#hypotheses .card").nth(6).wait_for()
-    stage = page.locator("#stage").bounding_box()
-    assert stage["y"] + stage["height"] < page.viewport_size["height"]
-    assert page.locator("#count").is_hidden()
-    assert page.evaluate("document.documentElement.scrollHeight") < 2100
-    assert not overflows(page)
-
-
-def test_labels_stay_apart_and_inside_the_picture(page: Any) -> None:
-    places = page.evaluate(
-        """async () => {
-            const {freePlace} = await import('/static/stage.js');
-            const drawn = [];
-            for (let n = 0; n < 40; n += 1) {
-                const wanted = {x: 20 * (n % 8) - 10, y: 15 * (n % 5) - 20, width: 12, height: 10};
-                drawn.push(freePlace(wanted, drawn, {width: 200, height: 150}));
-            }
-            return drawn.map(({x, y}) => [x, y]);
-        }"""
-    )
-    for (x, y), (left, top) in combinations(places, 2):
-        assert abs(x - left) >= 12 or abs(y - top) >= 10
-    assert all(0 <= x <= 188 and 0 <= y <= 140 for x, y in places)
-
-
 def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
     send = """([kind, bytes, name]) => {
         const data = new DataTransfer();
@@ -233,30 +153,6 @@ def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
         page.evaluate(send, ["drop", [1, 2, 3], "broken.png"])
     assert answer.value.status == 400
     page.locator("#message").get_by_text("“broken.png”: expected a PNG, JPEG").wait_for()
-
-
-def test_hypotheses_are_seen_from_the_camera_and_from_the_side(
-    page: Any, pictures: list[str]
-) -> None:
-    page.set_input_files("#file", pictures)
-    page.locator("#hypotheses .card").nth(6).wait_for()
-    page.get_by_role("button", name="As the camera sees it").click()
-    views = page.locator("#hypotheses .card canvas[aria-label^=Skeleton]")
-    drawn = views.evaluate_all("all => all.map(c => c.toDataURL())")
-    assert len(set(drawn)) == 14
-    assert "side view" in page.locator("#hypotheses").inner_text()
-    assert re.search(
-        r"differs by\s+\d+ cm \(.+ \d+ cm( nearer| farther)?\)",
-        page.locator("#hypotheses").inner_text(),
-    )
-    # They turn while they are on the screen.
-    views.first.scroll_into_view_if_needed()
-    page.locator("#spin").set_checked(True)
-    page.wait_for_function(
-        "before => document.querySelector('#hypotheses canvas[aria-label^=Skeleton]')"
-        ".toDataURL() !== before",
-        arg=drawn[0],
-    )
 
 
 def test_the_answer_can_be_downloaded(page: Any, pictures: list[str]) -> None:

@@ -35,25 +35,6 @@ def test_the_example_is_the_one_whose_terms_are_known() -> None:
     assert (STATIC / "example.jpg").read_bytes() == WALKERS.read_bytes()
 
 
-def test_an_error_is_in_view_wherever_one_has_scrolled(
-    page: Any, pictures: list[str], tmp_path: Path
-) -> None:
-    (tmp_path / "broken.png").write_bytes(b"?")
-    page.set_input_files("#file", pictures)
-    page.locator("#hypotheses .card").first.wait_for()
-    page.evaluate("scrollTo(0, document.body.scrollHeight)")
-    page.set_input_files("#file", str(tmp_path / "broken.png"))
-    page.locator("#message").wait_for()
-    edges = "r => [r.getBoundingClientRect().top, r.getBoundingClientRect().bottom]"
-    top, bottom = page.locator("#message").evaluate(edges)
-    assert 0 <= top < bottom <= page.viewport_size["height"]
-    assert not overflows(page)
-    # Sent again, the file would be as broken.
-    assert page.locator("#try-again").is_hidden()
-    page.get_by_role("button", name="Close this message").click()
-    assert not page.locator("#result").evaluate("r => r.inert")
-
-
 def test_what_may_pass_can_be_tried_again(page: Any, pictures: list[str]) -> None:
     page.route("**/pose?*", lambda route: route.abort())
     page.set_input_files("#file", pictures)
@@ -64,16 +45,8 @@ def test_what_may_pass_can_be_tried_again(page: Any, pictures: list[str]) -> Non
     assert page.locator("#message").is_hidden()
 
 
-def test_what_is_no_picture_is_named_with_the_formats(page: Any, tmp_path: Path) -> None:
-    (tmp_path / "letter.txt").write_text("Dear")
-    page.set_input_files("#file", str(tmp_path / "letter.txt"))
-    message = page.locator("#message-text").inner_text()
-    assert message.startswith("“letter.txt” is neither a picture (PNG, JPEG,")
-    assert "MP4" in message
-
-
-@pytest.mark.parametrize("name", ["street_mask.png", "people.png"])
-def test_a_mask_alone_is_a_mask(page: Any, photo: Photo, tmp_path: Path, name: str) -> None:
+def test_a_mask_alone_is_a_mask(page: Any, photo: Photo, tmp_path: Path) -> None:
+    name = "people.png"
     (tmp_path / name).write_bytes(photo.mask_png)
     page.set_input_files("#file", str(tmp_path / name))
     page.locator("#hypotheses .card").first.wait_for()
@@ -84,30 +57,6 @@ def test_a_mask_alone_is_a_mask(page: Any, photo: Photo, tmp_path: Path, name: s
     page.get_by_text("Nobody was found").wait_for()
 
 
-def test_a_mask_beside_a_photograph_needs_no_name(page: Any, photo: Photo, tmp_path: Path) -> None:
-    for name, content in (("1.png", photo.mask_png), ("2.png", photo.frame_png)):
-        (tmp_path / name).write_bytes(content)
-    page.set_input_files("#file", [str(tmp_path / "1.png"), str(tmp_path / "2.png")])
-    page.get_by_text("-F 'frame=@2.png' -F 'mask=@1.png'").wait_for()
-
-
-@pytest.mark.parametrize(
-    ("values", "expected"),
-    [
-        ([0, 255], True),
-        ([0, 1, 2], True),
-        ([0], False),
-        ([10, 120, 250], False),
-        (list(range(60)), False),
-    ],
-)
-def test_labels_are_told_from_a_photograph(page: Any, values: list[int], expected: bool) -> None:
-    pixels = [channel for value in values for channel in (value, value, value, 255)]
-    script = "async (pixels) => (await import('/static/pictures.js')).holdsLabels(pixels)"
-    assert page.evaluate(script, pixels) is expected
-    assert page.evaluate(script, [*pixels, 10, 20, 30, 255]) is False
-
-
 YARD = [str(ROOT / "tests" / "data" / name) for name in ("yard-empty.jpg", "yard.jpg")]
 
 
@@ -115,26 +64,6 @@ def test_a_frame_and_its_empty_scene_are_recognised_by_name(page: Any) -> None:
     page.set_input_files("#file", YARD)
     page.get_by_text("-F 'frame=@yard.jpg' -F 'background=@yard-empty.jpg'").wait_for()
     assert page.locator("#note").is_hidden()
-
-
-def test_which_of_two_pictures_of_a_scene_is_empty_is_asked(page: Any, tmp_path: Path) -> None:
-    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
-    for path, source in zip(paths, YARD, strict=True):
-        path.write_bytes(Path(source).read_bytes())
-    files = [str(path) for path in paths]
-    dialog = page.locator("#which-empty")
-    page.set_input_files("#file", files)
-    page.locator("#scenes button").first.click()
-    page.get_by_text("-F 'frame=@b.jpg' -F 'background=@a.jpg'").wait_for()
-    page.set_input_files("#file", files)
-    page.get_by_role("button", name="Neither").click()
-    page.get_by_text("a.jpg is shown, b.jpg left out").wait_for()
-    page.set_input_files("#file", files)
-    dialog.wait_for()
-    assert not overflows(page)
-    page.keyboard.press("Escape")
-    dialog.wait_for(state="hidden")
-    assert page.locator("#message").is_hidden()
 
 
 def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server) -> None:

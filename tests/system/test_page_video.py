@@ -1,9 +1,7 @@
 """Videos and the webcam on the debug page: a camera session, played and shown over time."""
 
-import json
 import re
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 from index.skeleton import NATIVE
-from tests.conftest import WALKERS, Photo, Server
+from tests.conftest import WALKERS, Server
 from tests.support.videos import numbered_frames, write_video
 from tests.system.test_page import overflows
 
@@ -58,18 +56,12 @@ def answer(number: int, timestamp: float) -> Answer:
 
 
 class Cameras:
-    """Camera sessions that refuse some requests, and forget the session at one frame."""
+    """Camera sessions that refuse one request."""
 
-    def __init__(
-        self,
-        page: Any,
-        problems: dict[int, tuple[int, dict[str, str]]] | None = None,
-        forgetful_at: int = -1,
-    ) -> None:
+    def __init__(self, page: Any, busy_at: int = -1) -> None:
         self.requests: list[Any] = []
         self.forgotten: list[str] = []
-        self._problems, self._forgetful_at = problems or {}, forgetful_at
-        self._frames = 0
+        self._busy_at, self._frames = busy_at, 0
         page.route("**/cameras/**", self._handle)
 
     def _handle(self, route: Any) -> None:
@@ -79,13 +71,10 @@ class Cameras:
             route.fulfill(status=204)
             return
         self.requests.append(request)
-        problem = self._problems.get(len(self.requests) - 1)
-        if problem:
-            status, headers = problem
-            route.fulfill(status=status, headers=headers, json={"detail": "not now"})
+        if len(self.requests) - 1 == self._busy_at:
+            retry = {"Retry-After": "1"}
+            route.fulfill(status=503, headers=retry, json={"detail": "not now"})
             return
-        if len(self.requests) - 1 == self._forgetful_at:
-            self._frames = 0
         session = "warm" if self._frames else "new"
         content = answer(self._frames, self.timestamps()[-1])
         self._frames += 1
@@ -140,51 +129,14 @@ def test_people_events_and_postures_are_shown(page: Any, clip: str) -> None:
     assert "sitting" not in legend
 
 
-def test_raw_and_smoothed_skeletons_differ(page: Any, clip: str) -> None:
-    Cameras(page)
-    play(page, clip)
-    pictures = set()
-    for choice in ("smoothed", "raw", "both"):
-        page.locator(f"[value={choice}]").check()
-        pictures.add(page.locator("#live").evaluate("c => c.toDataURL()"))
-    assert len(pictures) == 3
-    assert page.locator("#alone").is_visible()
-
-
-def test_a_row_selects_the_skeleton_in_3d(page: Any, clip: str) -> None:
-    Cameras(page)
-    play(page, clip)
-    assert page.locator("#crowd input").first.is_checked()
-    before = page.locator("#live").evaluate("c => c.toDataURL()")
-    page.locator("#crowd input").nth(1).check()
-    assert page.locator("#live").evaluate("c => c.toDataURL()") != before
-
-
 def test_a_frame_is_sent_again_to_a_busy_service(page: Any, clip: str) -> None:
-    cameras = Cameras(page, {3: (503, {"Retry-After": "1"})})
+    cameras = Cameras(page, busy_at=3)
     page.set_input_files("#file", clip)
     page.get_by_text("Not now. Trying again").wait_for()
     page.get_by_text("The end, after").wait_for()
     times = cameras.timestamps()
     assert times[4] - times[3] < 0.5
     assert page.locator("#note").is_hidden()
-    assert page.locator("#message").is_hidden()
-
-
-def test_a_forgotten_camera_is_reported(page: Any, clip: str) -> None:
-    Cameras(page, forgetful_at=5)
-    play(page, clip)
-    assert "numbered anew" in page.locator("#note").inner_text()
-    assert page.locator("#events li").count() == 1
-
-
-def test_a_missing_key_restarts_the_video(page: Any, clip: str) -> None:
-    cameras = Cameras(page, {0: (401, {})})
-    page.set_input_files("#file", clip)
-    page.locator("#key").fill("secret")
-    page.locator("#key").press("Enter")
-    page.get_by_text("The end, after").wait_for()
-    assert cameras.requests[1].headers["x-api-key"] == "secret"
     assert page.locator("#message").is_hidden()
 
 
@@ -200,49 +152,6 @@ def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Pat
     assert page.locator("#crowd tr").count() >= 3
     assert page.locator("#zones-panel").is_hidden()
     assert not overflows(page)
-
-
-def test_an_answer_that_breaks_off_is_an_error(page: Any, tmp_path: Path) -> None:
-    line = json.dumps(answer(0, 0.0) | {"type": "frame"})
-    page.route("**/sequence?*", lambda route: route.fulfill(body=line + "\n"))
-    write_video(tmp_path / "clip.avi", numbered_frames(5))
-    page.set_input_files("#file", str(tmp_path / "clip.avi"))
-    page.get_by_text("The service does not answer").wait_for()
-    assert page.locator("#crowd tr").count() == 2
-
-
-def test_seeking_shows_the_frame_of_that_time(page: Any, clip: str) -> None:
-    cameras = Cameras(page)
-    play(page, clip)
-    timeline = page.locator("#timeline")
-    timeline.scroll_into_view_if_needed()
-    box = timeline.bounding_box()
-    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 8)
-    page.locator("#pace").get_by_text(re.compile(r"^0:0[01]\.\d, frame \d+: ")).wait_for()
-    looked = timeline.get_attribute("aria-valuetext")
-    assert page.locator("#pace").inner_text().startswith(f"{looked}, frame")
-    assert 0.6 < float(timeline.get_attribute("aria-valuenow")) <= 1.1
-    timeline.press("Home")
-    page.get_by_text("frame 1:").wait_for()
-    timeline.press("ArrowRight")
-    page.get_by_text("frame 2:").wait_for()
-    timeline.press("End")
-    page.get_by_text(f"frame {len(cameras.requests)}:").wait_for()
-
-
-def test_seeking_ahead_skips_frames(page: Any, clip: str) -> None:
-    cameras = Cameras(page)
-    page.set_input_files("#file", clip)
-    page.locator("#crowd tr").first.wait_for()
-    page.locator("#hold").click()
-    timeline = page.locator("#timeline")
-    timeline.scroll_into_view_if_needed()
-    box = timeline.bounding_box()
-    page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 8)
-    page.get_by_text("The end, after").wait_for()
-    times = cameras.timestamps()
-    assert times == sorted(set(times))
-    assert max(later - sooner for sooner, later in pairwise(times)) > 0.5
 
 
 def draw_zone(page: Any, corners: list[tuple[float, float]], name: str) -> None:
@@ -287,47 +196,6 @@ def test_a_zone_is_drawn_with_the_mouse_and_set_for_the_camera(
     assert "curl -X PUT" in page.locator("#zones-command").text_content()
     page.get_by_role("button", name="Remove the zone yard").click()
     page.locator("#zones li").wait_for(state="detached")
-
-
-def test_drawing_can_be_given_up(page: Any, clip: str) -> None:
-    Cameras(page)
-    play(page, clip)
-    page.get_by_role("button", name="Draw a zone").click()
-    page.locator("#live").click(position={"x": 20, "y": 20})
-    assert page.locator("#close-zone").is_disabled()
-    page.keyboard.press("Escape")
-    page.get_by_role("button", name="Draw a zone").wait_for()
-
-
-def test_a_photograph_ends_the_video(page: Any, clip: str, photo: Photo, tmp_path: Path) -> None:
-    cameras = Cameras(page)
-    page.set_input_files("#file", clip)
-    page.locator("#crowd tr").first.wait_for()
-    (tmp_path / "street.png").write_bytes(photo.frame_png)
-    (tmp_path / "street_mask.png").write_bytes(photo.mask_png)
-    page.set_input_files("#file", [str(tmp_path / "street.png"), str(tmp_path / "street_mask.png")])
-    page.locator("#hypotheses .card").first.wait_for()
-    assert page.locator("#session").is_hidden()
-    assert len(cameras.forgotten) == 1
-    page.set_input_files("#file", clip)
-    page.locator("#session").wait_for()
-    assert page.locator("#result").is_hidden()
-
-
-def test_a_pause_stops_the_frames(page: Any, clip: str) -> None:
-    cameras = Cameras(page)
-    page.set_input_files("#file", clip)
-    page.locator("#crowd tr").first.wait_for()
-    page.locator("#hold").click()
-    page.wait_for_timeout(300)
-    sent = len(cameras.requests)
-    page.wait_for_timeout(300)
-    assert len(cameras.requests) == sent
-    page.locator("#hold").click()
-    page.get_by_text("The end, after").wait_for()
-    assert len(cameras.requests) > sent
-    page.locator("#hold").get_by_text("Play again").click()
-    page.get_by_role("button", name="Pause").wait_for()
 
 
 def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:

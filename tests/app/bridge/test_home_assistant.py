@@ -1,7 +1,6 @@
 """What a real broker and Home Assistant are sent."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -22,7 +21,6 @@ from app.bridge.outbox import Message, Outbox, deliver
 from tests.app.bridge.servers import event
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
-from tests.support.programs import output_of
 from tests.support.service import eventually
 
 pytestmark = pytest.mark.skipif(not MOSQUITTO, reason="needs mosquitto: apt-get install mosquitto")
@@ -180,43 +178,3 @@ def test_the_end_of_a_bridge_that_hung_does_not_turn_its_successor_off(ward: War
     hung.wait()
     time.sleep(0.5)
     assert ward.shows(available="online")()
-
-
-ACCEPT = """
-import asyncio, json, sys
-from homeassistant import core
-from homeassistant.components.mqtt import binary_sensor, sensor
-
-async def read(topics):
-    hass = core.HomeAssistant(sys.argv[2])
-    states = {}
-    for topic in topics:
-        if topic.endswith("/config"):
-            platform = {"binary_sensor": binary_sensor, "sensor": sensor}[topic.split("/")[1]]
-            config = platform.DISCOVERY_SCHEMA(json.loads(topics[topic]))
-            state, template = topics[config["state_topic"]], config.get("value_template")
-            if template is not None:
-                template.hass = hass
-                state = template.async_render_with_possible_json_value(state, None)
-            states[config["name"]] = state
-            assert topics[config["availability_topic"]] in ("online", "offline")
-    print(json.dumps(states))
-
-asyncio.run(read(json.loads(sys.argv[1])))
-"""
-
-
-def test_home_assistant_reads_what_is_published(ward: Ward, tmp_path: Path) -> None:
-    """By its own schemas and templates."""
-    python = os.environ.get("HOME_ASSISTANT")
-    if not python:
-        pytest.skip("needs HOME_ASSISTANT, a Python with `pip install homeassistant` (400 MB)")
-    ward.home.show(1, {"bed": True, "the floor": False})
-    ward.outbox.put(message(1))
-    eventually(ward.shows(people="1"))
-    eventually(lambda: ward.fell.get("state") == "ON")
-    topics = json.dumps(ward.subscriber.latest)
-    states = json.loads(output_of(python, "-c", ACCEPT, topics, str(tmp_path)))
-    assert states == {
-        "fell": "ON", "obstructed": "OFF", "people": "1", "bed": "ON", "the floor": "OFF",
-    }  # fmt: skip

@@ -62,12 +62,6 @@ def followed(box: Box, expected: PersonWindow | PoseReading) -> Target:
     return Target(Detection(box, 0.7), expected, followed=True)
 
 
-def test_an_impossible_size_is_refused() -> None:
-    models = finder(KnownReader({})).models
-    with pytest.raises(ValueError, match="min_person_px"):
-        PeopleFinder(models, 0, 9)
-
-
 def test_people_are_seen_with_what_their_readings_show() -> None:
     reader = KnownReader({LEFT: BODIES[0], RIGHT: BODIES[1]})
     targets = [Target(detected(BODIES[0], LEFT)), Target(Detection(RIGHT, 0.6))]
@@ -182,17 +176,6 @@ def test_a_body_marked_twice_is_two_people() -> None:
     people, shown = observed(reader, [Target(Detection(box, 1.0)) for box in (LEFT, NEARLY)],
                              source="boxes")  # fmt: skip
     assert len(people) == 2 and shown == [0, 1]
-
-
-def test_nobody_is_read_where_neither_landmarks_nor_masks_are_wanted() -> None:
-    people, _ = observed(
-        KnownReader({}),
-        [Target(Detection(LEFT, 0.9))],
-        landmarks=False,
-        cut=lambda boxes: [None for _ in boxes],
-        source="mask",
-    )
-    assert [one.next_window for one in people] == [None]
 
 
 @pytest.mark.parametrize("sees_feet", [True, False])

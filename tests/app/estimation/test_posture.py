@@ -39,12 +39,6 @@ def share(votes: NDArray[np.float64], *postures: str) -> float:
     return float(sum(votes[POSTURES.index(name)] for name in postures))  # type: ignore[arg-type]
 
 
-def test_votes_are_weighted_by_confidence() -> None:
-    votes = vote_posture(["standing", "walking", "walking"], [0.9, 0.3, 0.3])
-    assert share(votes, "standing") == pytest.approx(0.6)
-    assert share(votes, "walking") == pytest.approx(0.4)
-
-
 @given(weights=some_weights, probabilities=some_probabilities)
 def test_landmarks_decide_between_groups_and_votes_within(
     weights: list[float], probabilities: list[float]
@@ -113,14 +107,6 @@ def test_the_posture_settles_on_a_new_one_within_a_second(fps: int) -> None:
     assert set(labels[2 * fps :]) == {"sitting"}
 
 
-def test_after_a_long_gap_the_newest_frame_counts_for_most() -> None:
-    postures = PostureFilter()
-    postures.update(0.0, votes("standing"), None, 1.0, NARROW)
-    posture, _ = postures.update(60.0, votes("lying"), None, 1.0, WIDE)
-    assert posture.label == "lying"
-    assert posture.share(["standing"]) == pytest.approx(np.exp(-1 / 0.4))
-
-
 @pytest.mark.parametrize(("box", "lies"), [(NARROW, False), (WIDE, True)])
 def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) -> None:
     frame_posture = FramePosture(np.full(len(FRAME_POSTURES), 1 / len(FRAME_POSTURES)))
@@ -154,8 +140,3 @@ def test_a_posture_fades_with_the_probability_of_a_person() -> None:
         last, _ = postures.update(frame / 10, votes("standing"), None, 0.2, NARROW)
     presence = np.exp(-1) + (1 - np.exp(-1)) * 0.2
     assert last.probability == pytest.approx(presence * first.probability)
-
-
-def test_a_posture_for_which_nobody_votes_has_a_small_share() -> None:
-    shares = LANDMARK_GROUPS.split(frame_posture(standing=1.0).probabilities, votes("walking"))
-    assert 0 < share(shares, "standing") < 0.01

@@ -166,11 +166,6 @@ class TestParts:
         assert executor.map(lambda item: item**2, range(20)) == [i**2 for i in range(20)]
         assert executor.map(str, []) == []
 
-    def test_parts_are_worked_on_in_parallel(self) -> None:
-        meeting = threading.Barrier(3, timeout=10)
-        # Each waits for the others: serial execution would deadlock.
-        assert sorted(executor_of(3).map(lambda _: meeting.wait(), range(3))) == [0, 1, 2]
-
     @pytest.mark.parametrize("frames", [1, 2])
     def test_a_failure_is_raised_once_no_part_is_worked_on(self, frames: int) -> None:
         own, begun, ended = threading.get_ident(), [], []

@@ -16,18 +16,6 @@ def test_where_some_suffice_the_best_are_done_in_time(in_time: int) -> None:
     assert job.left_out == 4 - first
 
 
-def test_unless_some_suffice_nobody_is_left_out() -> None:
-    job = LateJob(0)
-    assert job.map_until(0.5, str, range(3)) == ["0", "1", "2"]
-    assert job.left_out == 0
-
-
-def test_a_job_without_a_deadline_is_never_late() -> None:
-    job = Job()
-    job.some_suffice = True
-    assert not job.is_late(0.01)
-
-
 def test_a_share_of_the_time_is_over_before_all_of_it() -> None:
     job = Job(0.0)
     assert not job.is_late(0.5)

@@ -76,16 +76,6 @@ def test_affinity_limits_the_cores(host: Host, monkeypatch: pytest.MonkeyPatch) 
     assert process.available_cores() == 3
 
 
-@pytest.mark.parametrize(("count", "expected"), [(8, 8), (None, 1)])
-def test_cores_are_counted_where_there_is_no_affinity(
-    host: Host, monkeypatch: pytest.MonkeyPatch, count: int | None, expected: int
-) -> None:
-    host({})
-    monkeypatch.delattr("os.sched_getaffinity")
-    monkeypatch.setattr("os.cpu_count", lambda: count)
-    assert process.available_cores() == expected
-
-
 EXPORT = """
 import sys, cv2
 before = sys.getswitchinterval(), cv2.getNumThreads()

@@ -252,15 +252,6 @@ class TestAdmission:
         clock.now += 0.6  # Earlier than asked, but there is room.
         queue.check("c")
 
-    async def test_frames_with_an_unbounded_wait_are_never_refused(self) -> None:
-        queue, _ = one_second_each()
-        for _ in range(2):
-            queue.enqueue("a", "photograph")
-        with pytest.raises(OverloadedError):
-            queue.enqueue("a", "photograph")
-        queue.enqueue("a", "photograph", unbounded_wait=True)
-        assert queue.in_flight == 3
-
     async def test_a_light_caller_is_admitted_where_a_heavy_one_is_not(self) -> None:
         queue, _ = one_second_each()
         queue.enqueue("heavy", "photograph")

@@ -1,14 +1,11 @@
 """Actions of tracks: features of motion, the linear model, the sliding window."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture
 from app.tracking.actions import (
-    FULL_WEIGHT_PX,
     RATE_HZ,
     ActionModel,
     ActionRecogniser,
@@ -19,11 +16,10 @@ from app.tracking.actions import (
     window_features,
 )
 from app.tracking.results import RecognisedAction, SmoothedPose
-from app.vision.geometry import Box
 from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from tests.app.tracking.people import person_of, standing_body
-from tests.conftest import stick_figure
+from tests.support.figures import stick_figure
 
 PX_PER_M = 80.0
 UP = np.array([0.0, 1.0, 0.0])
@@ -105,32 +101,6 @@ def test_an_action_is_recognised_after_a_second(undecided: ActionModel) -> None:
     assert answers[-1].probability == pytest.approx(1 / 1.02, abs=1e-3)
 
 
-def test_unknown_labels_leave_the_model_undecided(undecided: ActionModel) -> None:
-    answer = recognise(undecided, [frame / RATE_HZ for frame in range(20)], "swordplay")[-1]
-    assert answer is not None and answer.probability == pytest.approx(0.5)
-
-
-@pytest.mark.parametrize(
-    ("height", "best"),
-    [(2 * FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX / 8, "stand")],
-)
-def test_limbs_of_small_people_count_little(
-    undecided: ActionModel, height: float, best: str
-) -> None:
-    """Posture decides instead, and how common an action is."""
-    size = undecided.weights.shape[1]
-    model = ActionModel(
-        ("punch", "stand", "walk"), np.zeros((3, size)), np.array([3.0, 0.0, 0.0]), 0.0
-    )
-    recogniser, result = ActionRecogniser(model), None
-    box = Box(0, 0, height / 2, height)
-    for step, pose in enumerate(swinging(2)):
-        one = person_of([pose], [0.8])
-        one = replace(one, box=box)
-        result = recogniser.update(sample(step / RATE_HZ, pose), one, one_hot("standing"))
-    assert result is not None and result.label == best
-
-
 def test_after_a_gap_the_window_starts_afresh(undecided: ActionModel) -> None:
     times = [frame / RATE_HZ for frame in range(15)]
     times += [10 + frame / RATE_HZ for frame in range(15)]
@@ -163,12 +133,6 @@ def test_an_action_goes_with_the_posture(posture: PostureName, best: str, worst:
 def one_hot(posture: PostureName) -> EstimatedPosture:
     shares = np.array([name == posture for name in POSTURES], np.float64)
     return EstimatedPosture(posture, 1.0, shares)
-
-
-def test_no_action_is_less_likely_than_not(undecided: ActionModel) -> None:
-    size = undecided.weights.shape[1]
-    model = ActionModel(("walk", "sit", "lie"), np.zeros((3, size)), np.zeros(3), 0.0)
-    assert set(recognise(model, [0.1 * step for step in range(20)])) == {None}
 
 
 def test_a_model_of_the_wrong_shape_is_refused() -> None:

@@ -11,7 +11,7 @@ from app.tracking.body import SeenBody
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from index.facing import azimuth_deg as seen_azimuth_deg
 from index.posture import POSTURES, camera_up, classify_postures
-from index.skeleton import POINT_NAMES, camera_rotation, mirror_3d
+from index.skeleton import POINT_NAMES, camera_rotation
 from tests.app.tracking.people import person_of, standing_body
 
 PX_PER_M, CENTRE = 90.0, np.array([300.0, 200.0])
@@ -49,11 +49,6 @@ def test_landmarks_show_elevation_scale_and_heading(
     assert body.azimuths_deg == pytest.approx(seen_azimuth_deg(points[None]))
 
 
-def test_a_mirrored_body_has_the_same_elevation() -> None:
-    points = standing_body() @ camera_rotation(40.0, 20.0).T
-    assert seen(mirror_3d(points)).elevation_deg == pytest.approx(seen(points).elevation_deg)
-
-
 def test_landmarks_make_a_skeleton_of_the_index() -> None:
     points = standing_body() @ camera_rotation(30.0, 10.0).T
     skeleton = seen(points).skeleton
@@ -61,14 +56,6 @@ def test_landmarks_make_a_skeleton_of_the_index() -> None:
     np.testing.assert_allclose(skeleton, points, atol=0.1)
     posture = classify_postures(skeleton[None], camera_up(10.0))[0]
     assert POSTURES[posture] == "standing"
-
-
-def test_hypotheses_do_not_matter_beside_landmarks() -> None:
-    person = with_landmarks(standing_body() @ camera_rotation(30.0, 10.0).T)
-    whole, bare = SeenBody.of(person), SeenBody.of(replace(person, hypotheses=()))
-    assert whole is not None and bare is not None
-    for one, other in zip(vars(whole).values(), vars(bare).values(), strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_nothing_is_seen_without_landmarks_and_hypotheses() -> None:

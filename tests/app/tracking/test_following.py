@@ -133,19 +133,6 @@ def test_a_person_who_was_hardly_seen_behind_others_is_not_searched_for_at_once(
     assert detector.searches == (0 if beside else 1)
 
 
-def test_a_detection_larger_than_the_body_moves_no_box(
-    session: CameraSession, detector: ColourDetector
-) -> None:
-    """A walking frame beside a person, say, that the detector takes for a part of them."""
-    send(session, 0.0, (0, 100))
-    for step in range(1, 21):
-        detector.room = 60 * (step % 2)
-        result = send(session, step / 2, (0, 100))
-        assert ids(result) == [1]
-        box = result.persons[0].box
-        assert (box.x, box.width) == (pytest.approx(99.5, abs=2), pytest.approx(30, abs=3))
-
-
 def followed(
     drawn: Estimator, left: int, *expected_at: int, confirmed: bool = True, time: float = 0.1
 ) -> list[int | None]:
@@ -164,11 +151,6 @@ def followed(
     found, in_window = people.find(now, time, tracks, Job())
     led = [in_window.get(row) for row in range(len(found))]
     return [None if track is None else tracks.index(track) for track in led]
-
-
-def test_of_two_tracks_on_one_body_the_nearer_one_has_it(drawn: Estimator) -> None:
-    assert followed(drawn, 104, 140, 102) == [1]
-    assert followed(drawn, 104, 102, 140) == [0]
 
 
 def test_a_detected_person_whom_the_window_of_a_track_shows_is_its_person(
@@ -248,14 +230,6 @@ def test_while_nothing_changes_around_a_large_walker_searches_are_rarer(
     for step, time in enumerate(times):
         send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
     assert detector.searches == 1 + times[-1] // every
-
-
-def test_an_empty_scene_that_is_not_still_is_searched_at_intervals(
-    session: CameraSession, detector: ColourDetector
-) -> None:
-    for step in range(30):
-        send(session, step / 5, light=150 + 10 * (step % 2))
-    assert detector.searches == pytest.approx(6 / SEARCH_EVERY_S, abs=3)
 
 
 def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from app.tracking.motion import (
-    MIN_TURNED_DEG,
     STILL,
     GroundMotion,
     GroundVelocity,
@@ -47,15 +46,6 @@ def test_recovers_the_velocity(elevation_deg: float, velocity: tuple[float, floa
     assert found.away == pytest.approx(velocity[1], abs=0.25)
 
 
-def test_standing_still_has_no_speed() -> None:
-    assert walk(20.0, (0.0, 0.0)).speed == pytest.approx(0.0, abs=1e-9)
-
-
-def test_seen_from_below_people_sink_as_they_move_away() -> None:
-    found = walk(-20.0, (0.0, 1.0))
-    assert found.away == pytest.approx(1.0, abs=0.25)
-
-
 def test_two_frames_give_no_velocity() -> None:
     assert walk(20.0, (5.0, 0.0), seconds=0.1) == STILL
 
@@ -77,7 +67,6 @@ def test_a_path_goes_down_the_picture_towards_the_camera(
     np.testing.assert_allclose(path[1], [1.0, metres])
 
 
-BESIDE_DEG = 90 - MIN_TURNED_DEG
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
 
@@ -121,17 +110,3 @@ def test_people_go_where_they_face() -> None:
         )
     ahead, behind = heading.log_likelihood(np.array([90.0, -90.0]))
     assert ahead > behind + 1
-
-
-@pytest.mark.parametrize(
-    ("front", "azimuth_deg", "expected_deg"),
-    [
-        (True, 30.0, 30.0), (True, 100.0, BESIDE_DEG), (True, -100.0, -BESIDE_DEG),
-        (False, 150.0, 150.0), (False, 80.0, 180 - BESIDE_DEG), (False, -80.0, BESIDE_DEG - 180),
-    ],
-)  # fmt: skip
-def test_the_nearest_azimuth_of_a_side(
-    front: bool, azimuth_deg: float, expected_deg: float
-) -> None:
-    heading = Heading(np.full(36, 1 / 36), front)
-    assert heading.on_visible_side(azimuth_deg) == pytest.approx(expected_deg)

@@ -51,16 +51,6 @@ class TestBoxFilter:
         motion.update(Box(100, 100, 30, 90), 0.2, whole=False)
         assert 80 < motion.predict(0.2).height < 90
 
-    def test_one_box_that_is_off_hardly_changes_the_velocity(self) -> None:
-        motion = BoxFilter(BOX, 0.0)
-        motion.update(replace(BOX, x=BOX.x + 10), 0.1, whole=True)
-        assert 0 < motion.velocity[0] < 0.5 * 10 / 0.1
-
-    def test_frames_far_apart_do_not_overshoot(self) -> None:
-        motion = BoxFilter(BOX, 0.0)
-        motion.update(replace(BOX, x=150), 5.0, whole=True)
-        assert motion.velocity[0] == pytest.approx(10)
-
 
 @pytest.mark.parametrize(
     ("seen", "confirmed"),
@@ -227,11 +217,6 @@ def test_a_person_who_is_lost_behind_another_one_is_not_reported_as_fallen() -> 
     track.hidden = True
     track.see(at(100), 6.0)
     assert not track.hidden
-
-
-def test_only_a_confirmed_track_has_results() -> None:
-    with pytest.raises(ValueError, match="expected a confirmed track"):
-        track_of(detected(0.1)).update(person_of([seen_from(0.0)], [0.9]), 0.1, frame=FRAME)
 
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))

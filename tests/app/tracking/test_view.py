@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.tracking.results import Event
-from app.tracking.view import View, edge_agreement
+from app.tracking.view import View
 from app.vision.geometry import Box
 from tests.golden.pictures import EMPTY_YARD, decode
 
@@ -183,14 +183,3 @@ def test_times_that_go_back_count_for_nothing() -> None:
     watch(view, [(20, room)], begin=1000)
     assert watch(view, [(10, room)]) == []
     assert [one.state for one in watch(view, [(5, even(90)(room))], begin=10)] == ["begin"]
-
-
-@pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
-def test_edges_agree_whichever_side_is_brighter(scene: Grey) -> None:
-    usual = scene.astype(np.float32)
-    itself = edge_agreement(usual, scene)
-    assert itself.min() >= 0
-    assert itself.max() == pytest.approx(1)
-    np.testing.assert_allclose(edge_agreement(usual, 255 - scene), itself, atol=1e-5)
-    assert np.abs(edge_agreement(usual, even(90)(scene))).max() == 0
-    assert abs(edge_agreement(usual, scene[::-1, ::-1].copy()).mean()) < 0.2 * itself.mean()

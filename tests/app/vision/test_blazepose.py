@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.vision.blazepose import (
     LANDMARK_PX,
     LandmarkNetwork,
     MaskNetwork,
-    sample_map,
 )
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
@@ -98,12 +96,3 @@ def test_windows_without_a_person_have_a_low_presence(
         reading = landmark_network.read(frame, window)
         assert reading.presence < 0.5
         assert np.isfinite(reading.landmarks.positions).all()
-
-
-def test_maps_are_seen_in_the_middle_of_their_cells() -> None:
-    maps = np.random.default_rng(0).normal(size=(2, 8, 8, 3)).astype(np.float32)
-    points = np.zeros((2, 39, 5), np.float32)
-    points[:, :33, 0], points[:, :33, 1] = 32 * 5 + 16, 32 * 2 + 16
-    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 2, 5], 33, 1), atol=1e-6)
-    points[:, :33, :2] = [-500, 9999]
-    assert_allclose(sample_map(maps, points), np.repeat(maps[:, None, 7, 0], 33, 1), atol=1e-6)

@@ -11,18 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, PoseReading
+from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, detection_odds
 from app.vision.detectors.hog import hog_margin
-from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.detectors.tiles import (
     Picture,
 )
 from app.vision.geometry import Box, PersonWindow
-from app.vision.movenet import MoveNet
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
-from app.vision.rescoring import ObjectNetwork
 from tests.app.painted import detected, painted
 from tests.app.vision.conftest import found_share, moved, scores_of
 
@@ -50,18 +47,6 @@ def test_blank_frames_hold_nobody(
     assert detector.detect(np.full(shape, level, np.uint8)) == ([], [])
 
 
-def test_scores_below_the_minimum_are_left_out(
-    detector: NetworkDetector, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(MIN_SCORE, 0.0)
-    everyone = list(scores_of(detector, street).items())
-    assert len(everyone) > 2
-    monkeypatch.setattr(MIN_SCORE, everyone[1][1])
-    assert list(scores_of(detector, street).items()) == everyone[:2]
-    monkeypatch.setattr(MIN_SCORE, 1.0)
-    assert detector.detect(street)[0] == []
-
-
 def test_each_person_of_a_crowd_is_detected_once(
     detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
@@ -74,54 +59,6 @@ def test_each_person_of_a_crowd_is_detected_once(
     boxes = [one.box for one in detector.detect(frame, min_person_px=40)[0]]
     for number, box in enumerate(boxes):
         assert all(box.iou(other) < 0.4 for other in boxes[number + 1 :])
-
-
-@pytest.mark.parametrize("x", range(380, 560, 20))
-def test_person_across_two_tiles_is_detected_once(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], x: int
-) -> None:
-    """A walker moved across the seams of a frame of 1000x500 on plain asphalt."""
-    left, top = round(walkers[1].x) - 12, round(walkers[1].y) - 12
-    frame = np.full((500, 1000, 3), street[240:300, 90:130].mean(axis=(0, 1)), np.uint8)
-    frame[200:330, x : x + 64] = street[top : top + 130, left : left + 64]
-    found, _ = detector.detect(frame, min_person_px=40)
-    expected = moved(walkers[1], x - left, 200 - top)
-    assert [one.box.iou(expected) > 0.6 for one in found] == [True]
-
-
-def test_expected_person_is_detected_more_readily(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    before = scores_of(detector, street)
-    for expected in walkers:
-        after = scores_of(detector, street, expected)
-        raised = [box for box, score in after.items() if score > before.get(box, 0)]
-        assert len(raised) == 1 and raised[0].iou(expected) > 0.5
-        assert {box for box in after if box not in raised} == set(before) - set(raised)
-    assert scores_of(detector, street, Box(0, 0, 10, 20)) == before
-
-
-class SeesNobody:
-    def detect(self, picture: Picture) -> list[Detection]:
-        return []
-
-
-def test_second_detector_only_adds(
-    movenet: MoveNet,
-    landmark_network: LandmarkNetwork,
-    objects: ObjectNetwork,
-    detector: NetworkDetector,
-    street: NDArray[np.uint8],
-) -> None:
-    with_both = scores_of(detector, street)
-    alone = NetworkDetector(
-        [MoveNetDetector(movenet, movenet), SeesNobody()], landmark_network, objects
-    )
-    found, _ = alone.detect(street)
-    assert found
-    for one in found:
-        assert with_both[one.box] >= one.score
-        assert one.windows == ()
 
 
 @given(score=st.floats(0, 1), margin=st.floats(-5, 5), body=st.floats(0, 1), more=st.floats(0, 2))

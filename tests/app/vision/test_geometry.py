@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.vision.geometry import (
-    WINDOW_SCALE,
     Box,
     PersonWindow,
     crop,
@@ -19,7 +18,7 @@ from app.vision.geometry import (
     shrink_quickly,
     transform_points,
 )
-from tests.app.vision.conftest import PERSON_WINDOWS, PLACES, SIDES
+from tests.app.vision.conftest import PERSON_WINDOWS
 
 boxes = st.builds(Box, *[st.floats(-50, 50)] * 2, *[st.floats(0.5, 60)] * 2)
 box_arrays = st.lists(boxes, min_size=1, max_size=9).map(
@@ -76,10 +75,6 @@ def test_suppression_keeps_boxes_better_than_all_nearby(
         assert any(overlaps[row, o] >= max_iou and scores[o] >= scores[row] for o in kept)
 
 
-def test_suppression_of_no_boxes_keeps_none() -> None:
-    assert non_max_suppression(np.zeros((0, 4)), np.zeros(0), 0.4) == []
-
-
 @given(window=PERSON_WINDOWS, pixels=st.integers(2, 300))
 def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     window: PersonWindow, pixels: int
@@ -95,24 +90,6 @@ def test_window_is_scaled_about_its_middle_and_rotated_by_its_roll(
     right, down = transform_points(window.to_frame(pixels), middle - [0, 1]) - [window.x, window.y]
     angle = np.rad2deg(np.arctan2(right, -down))
     assert (angle - window.roll_deg + 180) % 360 == pytest.approx(180, abs=1e-6)
-
-
-@given(x=PLACES, y=PLACES, radius=SIDES, roll_deg=st.floats(-179, 179))
-def test_window_about_a_circle_has_its_top_point_above_the_middle(
-    x: float, y: float, radius: float, roll_deg: float
-) -> None:
-    angle = np.deg2rad(roll_deg)
-    top = np.array([x + radius * np.sin(angle), y - radius * np.cos(angle)])
-    window = PersonWindow.about_circle(np.array([x, y]), top)
-    assert (window.x, window.y) == (x, y)
-    assert window.side == pytest.approx(2 * WINDOW_SCALE * radius)
-    assert window.roll_deg == pytest.approx(roll_deg, abs=1e-6)
-
-
-def test_drift_is_the_distance_of_corners_in_sides() -> None:
-    window = PersonWindow(10, 20, 40)
-    assert window.drift(window) == 0
-    assert window.drift(PersonWindow(34, 52, 40)) == pytest.approx(1)
 
 
 def noise(height: int, width: int) -> NDArray[np.uint8]:

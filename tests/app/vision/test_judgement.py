@@ -8,18 +8,16 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
-from app.networks.shipped import NetworkError, file_of
+from app.networks.shipped import NetworkError
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.depth import HIPS
 from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import (
     FRAME_POSTURES,
-    FramePosture,
     PhotographModels,
     TrustModel,
     load_photograph_models,
     posture_features,
-    region_features,
     sharpened,
     trust_features,
 )
@@ -74,17 +72,6 @@ def test_the_numbers_of_a_body_that_stands_upright() -> None:
     assert_allclose(posture_features(points, visibility, 20.0, 0.6, 0.4), expected, atol=1e-9)
 
 
-def test_the_surroundings_of_trunk_and_legs_are_means_at_their_landmarks() -> None:
-    for part, expected in (
-        ("shoulder", [0.25, 0]), ("hip", [0.25, 0]), ("knee", [0, 0.25]), ("ankle", [0, 0.25]),
-        ("wrist", [0, 0]),
-    ):  # fmt: skip
-        for row in landmarks(part):
-            sampled = np.zeros((33, 1))
-            sampled[row] = 1
-            assert region_features(sampled).tolist() == expected
-
-
 def made_up(count: int) -> dict[str, NDArray[np.float64]]:
     """Passes of the network over people of some size, anywhere in their windows."""
     rng = np.random.default_rng(3)
@@ -97,14 +84,6 @@ def made_up(count: int) -> dict[str, NDArray[np.float64]]:
         "last": rng.normal(0, 1, (count, 2, 2, 288)),
         "sigmas": rng.uniform(0.02, 0.3, (count, 33)),
     }
-
-
-def test_what_trust_depends_on_is_each_readings_own() -> None:
-    many = made_up(5)
-    together = trust_features(**many)
-    alone = [trust_features(**{key: value[[row]] for key, value in many.items()})[0]
-             for row in range(5)]  # fmt: skip
-    assert_allclose(together, alone)
 
 
 @pytest.mark.parametrize("part", ["shoulder", "elbow", "wrist", "hip", "knee", "ankle"])
@@ -140,13 +119,6 @@ def test_the_posture_of_legs_beyond_the_border_is_no_other_than_standing(
         judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
         others = np.delete(judged.posture.probabilities, FRAME_POSTURES.index("standing"))
         assert others.max() < 0.5
-
-
-def test_probabilities_of_a_posture_are_named() -> None:
-    given = FramePosture(np.array([0.1, 0.1, 0.5, 0.1, 0.1, 0.1]))
-    assert given.of("crouching") == 0.5
-    with pytest.raises(ValueError, match="six probabilities"):
-        FramePosture(np.ones(3))
 
 
 def test_a_person_who_is_hardly_seen_is_classified_less_surely() -> None:
@@ -196,15 +168,6 @@ def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
         assert 2 < body.origin[2] < 40
 
 
-def test_a_wider_view_brings_people_nearer(
-    models: PhotographModels, readings: list[PoseReading], street: NDArray[np.uint8]
-) -> None:
-    narrow, wide = (
-        models.body(readings[1], PinholeCamera.of_frame(street.shape, fov)) for fov in (40, 80)
-    )
-    assert wide.origin[2] < narrow.origin[2]
-
-
 def test_asphalt_is_nobody(
     models: PhotographModels, landmark_network: LandmarkNetwork, street: NDArray[np.uint8]
 ) -> None:
@@ -224,11 +187,6 @@ def test_what_is_as_often_a_person_as_in_training_says_nothing(odds: float) -> N
     assert trust.person == pytest.approx(1 / (1 + np.exp(-odds)), abs=1e-4)
     # Of right landmarks, it keeps the share in training.
     assert trust.right == pytest.approx(np.prod(1 / (1 + np.exp(-said))), abs=1e-4)
-
-
-def test_what_ships_is_small(models: PhotographModels) -> None:
-    assert file_of("photograph_models").stat().st_size < 2_500_000
-    assert models.posture.network.biases[-1].shape == (len(FRAME_POSTURES),)
 
 
 def test_a_file_that_is_no_model_is_named(tmp_path: Path) -> None:

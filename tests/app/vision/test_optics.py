@@ -58,13 +58,6 @@ def test_impossible_fields_of_view_are_refused(fov_deg: float) -> None:
         PinholeCamera.of_frame(SHAPE, fov_deg)
 
 
-def test_impossible_cameras_are_refused() -> None:
-    with pytest.raises(ValueError, match="above 0"):
-        PinholeCamera(np.array([0.0, 1.0]), np.zeros(2))
-    with pytest.raises(ValueError, match="finite"):
-        PinholeCamera(np.array([np.nan, 1.0]), np.zeros(2))
-
-
 @given(
     st.integers(0, 10_000), st.floats(1.5, 9.0), st.floats(-0.9, 0.9), st.floats(-0.6, 0.6),
     st.floats(-180, 180),

@@ -23,7 +23,6 @@ from app.vision.person_reader import (
     AGREEMENT_DISTANCE,
     PersonReader,
     fuse,
-    reading_quality,
     trunk_roll_deg,
     window_beyond_border,
     without_bodies,
@@ -85,20 +84,6 @@ def test_a_person_is_followed_as_long_as_the_window_shows_them(
     assert person_reader.follow(empty, readings[0].next_window) is None
 
 
-def test_agreement_presence_and_little_drift_are_good(readings: list[PoseReading]) -> None:
-    reading = readings[2]
-    same = reading.landmarks.positions[COCO_LANDMARKS]
-    sure = ObservedKeypoints(same, np.ones(17))
-    assert reading_quality(reading, sure) > reading_quality(moved(reading, 10, 0), sure)
-    assert reading_quality(reading, sure) > reading_quality(replace(reading, presence=0.1), sure)
-    window = reading.window
-    drifting = replace(reading, window=PersonWindow(window.x + 50, window.y, window.side))
-    assert reading_quality(reading, sure) > reading_quality(drifting, sure)
-    # Keypoints without a score count neither for it nor against it.
-    unsure = ObservedKeypoints(same + 500, np.zeros(17))
-    assert reading_quality(reading, unsure) == pytest.approx(reading_quality(reading, None))
-
-
 @given(
     seed=st.integers(0, 9999), x=st.floats(-60, 60), y=st.floats(-60, 60),
     score=st.floats(0, 1), row=st.integers(0, 16),
@@ -147,13 +132,6 @@ def test_roll_is_the_rotation_of_the_trunk(angle: float) -> None:
     assert trunk_roll_deg(leaning(angle)) == pytest.approx(angle, abs=1e-6)
 
 
-@pytest.mark.parametrize("part", ["hip", "shoulder"])
-def test_roll_is_unknown_without_both_ends_of_the_trunk(part: str) -> None:
-    assert trunk_roll_deg(leaning(90, f"left_{part}", f"right_{part}")) is None
-    assert trunk_roll_deg(leaning(90, f"left_{part}")) is not None
-    assert trunk_roll_deg(None) is None
-
-
 def test_cut_off_person_is_read_as_part_of_a_whole_body(
     person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
@@ -170,14 +148,6 @@ def test_cut_off_person_is_read_as_part_of_a_whole_body(
     assert landmarks.visibility[legs].min() > 0.5
     head = [i for i, name in enumerate(LANDMARK_NAMES) if "eye" in name or name == "nose"]
     assert landmarks.visibility[head].max() < 0.5
-
-
-def test_window_of_a_whole_person_is_not_extended() -> None:
-    seen = ObservedKeypoints(np.full((17, 2), 50.0), np.ones(17))
-    at_border = Box(-0.5, -0.5, 50, 100)
-    assert window_beyond_border(seen, at_border, (200, 200, 3)) == []
-    assert window_beyond_border(None, at_border, (200, 200, 3)) == []
-    assert window_beyond_border(seen, Box(60, 60, 40, 80), (200, 200, 3)) == []
 
 
 @pytest.mark.parametrize(("unseen", "radius"), [("ankle", 1.7 * 50), ("nose", 80)])

@@ -37,14 +37,3 @@ def test_cat_is_none(detector: NetworkDetector, cat: NDArray[np.uint8], margin: 
     height, width = cat.shape[:2]
     box = Box(margin, margin / 2, width - 2 * margin, height - margin)
     assert gained(detector, cat, box) < -1
-
-
-def test_mirror_image_gives_nearly_the_same(
-    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box]
-) -> None:
-    mirrored = np.ascontiguousarray(street[:, ::-1])
-    for box in walkers:
-        other = Box(street.shape[1] - box.right - 1, box.y, box.width, box.height)
-        assert gained(detector, mirrored, other) == pytest.approx(
-            gained(detector, street, box), abs=1
-        )

@@ -34,12 +34,6 @@ def reading(x: float, y: float = 0.0) -> PoseReading:
     return PoseReading(window, landmarks, 1.0, window, BLANK_PASS, probability)
 
 
-def test_readings_are_grouped_by_body() -> None:
-    assert reading(0).body_px == BODY_PX
-    assert first_of_body([]) == []
-    assert first_of_body([reading(0), reading(1), reading(200), reading(0)]) == [0, 0, 2, 0]
-
-
 @given(share=st.floats(0, 1), angle=st.floats(-3.14, 3.14))
 def test_distant_bodies_are_distinct(share: float, angle: float) -> None:
     apart_px = share * BODY_PX
@@ -111,13 +105,6 @@ def test_the_farther_a_person_is_from_the_known_one_the_less_likely_are_they_the
     # A person who has had the time to walk may be there.
     assert (probabilities(later, away[4:]) > said[4:]).all()
     assert (probabilities(soon, away, in_window=True) > said).all()
-
-
-def test_people_grow_and_shrink_gradually() -> None:
-    known = KnownPerson(HERE, HERE, 0.2, None)
-    boxes = [Box(100, 150 - height, 40, height) for height in (100, 130, 170, 220, 300)]
-    said = probabilities(known, boxes)
-    assert (np.diff(said) < 0).all()
 
 
 def test_nobody_is_compared_from_far_away_and_a_mirror_changes_nothing() -> None:

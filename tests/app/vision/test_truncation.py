@@ -43,12 +43,6 @@ def landmarks_but(*unseen: str) -> Landmarks:
 HEAD, FEET = ("nose", "eye", "ear"), ("ankle",)
 
 
-def test_silhouette_at_the_border_is_cut() -> None:
-    assert touches_border(block(0, 5, 10, 20), (40, 40))
-    assert touches_border(block(5, 20, 10, 20), (40, 40))
-    assert not touches_border(block(5, 5, 10, 20), (40, 40))
-
-
 @pytest.mark.parametrize(("left", "top"), [(1, 100), (100, 1), (259, 100), (100, 199)], ids=str)
 def test_silhouette_just_short_of_the_edge_is_cut_unless_from_a_mask(left: int, top: int) -> None:
     person = replace(block(left, top, 40, 100), segmenter="network")

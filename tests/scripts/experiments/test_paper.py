@@ -21,16 +21,12 @@ from scripts.experiments.paper_data import (
     DATA,
     errors_px,
     nearest,
-    of_action,
-    of_subject,
     read_paper_data,
     recognised,
-    stretched,
 )
 from scripts.experiments.paper_descriptors import (
     hahn_weights,
     hu_moments,
-    shape_contexts,
     weighted_polynomials,
 )
 from scripts.index.descriptor_learning import view_joints
@@ -62,13 +58,6 @@ def test_unseen_frames_are_known_of_no_body_and_from_no_view(data: Data) -> None
         {tuple(row) for row in part.skeleton_labels[["clip", "frame"]]} for part in data
     )
     assert len(unseen) == 19 and not known & unseen
-
-
-def test_entries_are_chosen_by_body_and_action(data: Data) -> None:
-    known, _ = data
-    for name in known.subjects:
-        assert len(of_subject(known, name)) + len(of_subject(known, name, others=True)) == 2925
-    assert sum(len(of_action(known, name)) for name in known.actions) == 2925
 
 
 def test_the_papers_descriptor_recognises_what_the_page_says(data: Data) -> None:
@@ -120,12 +109,6 @@ def test_hus_moments_change_only_one_sign_in_the_mirror(data: Data) -> None:
     assert_allclose(there[:, 6], -mirrored[:, 6], atol=1e-3)
 
 
-def test_shape_contexts_count_the_other_points(data: Data) -> None:
-    contexts = shape_contexts(data[1].silhouettes(np.array([5]))[0])
-    assert contexts.shape == (64, 60)
-    assert (contexts.sum(axis=1) <= 1 + 1e-6).all() and contexts.sum(axis=1).mean() > 0.8
-
-
 def test_zernikes_moments_do_not_change_in_the_mirror(data: Data) -> None:
     pytest.importorskip("mahotas", reason="make paper installs it")
     from scripts.experiments.paper_descriptors import zernike_moments
@@ -134,12 +117,6 @@ def test_zernikes_moments_do_not_change_in_the_mirror(data: Data) -> None:
     assert_allclose(
         zernike_moments(silhouettes), zernike_moments(silhouettes[:, :, ::-1]), atol=1e-6
     )
-
-
-def test_a_stretched_silhouette_fills_the_frame() -> None:
-    silhouette = np.zeros((1, HEIGHT, WIDTH), np.uint8)
-    silhouette[:, 40:60, 10:30] = 1
-    assert_array_equal(stretched(silhouette), np.ones_like(silhouette))
 
 
 @pytest.mark.slow

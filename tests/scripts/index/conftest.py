@@ -11,6 +11,7 @@ import pytest
 
 from descriptor.descriptor import DiagonalDescriptor
 from index.confidence import Calibration
+from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
 from scripts.index.body import Avatar
@@ -19,6 +20,7 @@ from scripts.index.poses import Poses, lay_down, merged, read_poses
 from scripts.index.simulate import Simulation, simulate
 from scripts.index.writer import save_index
 from tests.conftest import SHARED
+from tests.index.helpers import random_reranker
 from tests.scripts.index.toys import box_avatar, walk, write_clip
 
 
@@ -87,6 +89,11 @@ def saved(body_index: PoseIndex, tmp_path: Path) -> Path:
     folder = tmp_path / "artefact"
     save_index(body_index, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def reranker() -> RankingModel:
+    return random_reranker()
 
 
 @pytest.fixture(scope="session")

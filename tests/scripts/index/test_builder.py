@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from index.artefact import load_index
 from index.posture import LOW, POSTURES, classify_postures
@@ -16,17 +15,12 @@ from scripts.index.builder import (
     LAID_DOWN_SHARE,
     LOW_SHARE,
     Plan,
-    QueryCounts,
     choose_poses,
-    entries_of,
-    simulate_queries,
     split,
     split_by_clip,
-    spread,
 )
 from scripts.index.motion import MANIFESTS, Segment, read_manifest
 from scripts.index.poses import LYING_SIDES, Poses, joints_of, read_poses
-from scripts.index.simulate import Simulation
 from tests.scripts.index.toys import walk, write_clip
 from tests.support.programs import output_of
 
@@ -41,10 +35,6 @@ class TestPlan:
     def test_refuses_fewer_entries_than_one_pose_makes(self) -> None:
         with pytest.raises(ValueError, match="expected at least 24 entries, got 23"):
             Plan(entries=23, bodies=2, views=12)
-
-    def test_refuses_an_unknown_descriptor(self) -> None:
-        with pytest.raises(ValueError, match="got 'hog'"):
-            Plan(descriptor="hog")
 
 
 class TestSplitByClip:
@@ -64,35 +54,14 @@ class TestSplitByClip:
         assert {s.action for s in kept} == {"walk", "jump", "golf"}
         assert {s.action for s in held} == {"walk", "jump"}
 
-    def test_actions_of_each_manifest_are_held_out_by_themselves(self) -> None:
-        ground = [Segment(f"g{n}", "s", "walk", 0, 9, MANIFESTS[1]) for n in range(5)]
-        _, held = split_by_clip([*self.segments, *ground])
-        assert [s.clip for s in held if s.manifest == MANIFESTS[1]] == ["g2"]
-        _, without = split_by_clip(self.segments)
-        assert [s for s in held if s.manifest == MANIFESTS[0]] == without
-
 
 class TestSplit:
-    def test_clips_of_their_own_where_there_are_enough(self) -> None:
-        *parts, honest = split(TestSplitByClip.segments)
-        assert honest
-        assert tuple(parts) == split_by_clip(TestSplitByClip.segments)
-
     def test_the_ends_of_clips_where_there_are_too_few(self) -> None:
         few = [Segment("a", "s", "walk", 10, 110), Segment("b", "s", "jump", 0, 2)]
         kept, held, honest = split(few)
         assert not honest
         assert [(s.clip, s.start, s.end) for s in kept] == [("a", 10, 76), ("b", 0, 1)]
         assert [(s.clip, s.start, s.end) for s in held] == [("a", 85, 110)]
-
-    def test_entries_are_those_of_the_frames(self, simulation: Simulation) -> None:
-        rows = entries_of(simulation, [Segment("stroll", "s1", "walk", 3, 7)])
-        labels = simulation.skeleton_labels[simulation.entries["skeleton"][rows]]
-        assert {simulation.clips[clip] for clip in labels["clip"]} == {"stroll"}
-        assert sorted(set(labels["frame"].tolist())) == [3, 4, 5, 6]
-        clips = [Segment(clip, "s", "walk", 0, 99) for clip in simulation.clips]
-        assert len(entries_of(simulation, clips)) == len(simulation)
-        assert len(entries_of(simulation, [Segment("ghost", "s", "walk", 0, 9)])) == 0
 
 
 @pytest.fixture(scope="module")
@@ -133,50 +102,12 @@ class TestChoosePoses:
         assert groups.count("laid") == round(LAID_DOWN_SHARE * count)
         assert groups.count("low") == round(LOW_SHARE * count)
 
-    def test_so_has_each_beginning(self, pool: Poses, avatars: list[Avatar]) -> None:
-        groups = self.groups(choose_poses(pool, avatars[0], 50, seed=0), avatars[0])
-        for end in range(len(groups) + 1):
-            for group in ("laid", "low", "upright"):
-                share = groups.count(group) / len(groups)
-                assert abs(groups[:end].count(group) - share * end) <= 1
-
     def test_no_pose_comes_twice(self, pool: Poses, avatars: list[Avatar]) -> None:
         chosen = choose_poses(pool, avatars[0], 50, seed=0)
         kept = np.isnan(chosen.lying_deg)
         for rows in (kept, ~kept):
             pairs = list(zip(chosen.clip[rows], chosen.frame[rows], strict=True))
             assert len(set(pairs)) == len(pairs)
-
-    def test_where_nobody_is_low_more_are_upright(
-        self, poses: Poses, avatars: list[Avatar]
-    ) -> None:
-        groups = self.groups(choose_poses(poses, avatars[0], 20, seed=0), avatars[0])
-        laid = round(LAID_DOWN_SHARE * 20)
-        assert (groups.count("laid"), groups.count("upright")) == (laid, 20 - laid)
-
-
-class TestSimulateQueries:
-    def test_asks_for_frames_of_both_manifests_and_laid_down(
-        self, ground_motion: Path, avatars: list[Avatar]
-    ) -> None:
-        segments = read_manifest(ground_motion)
-        asked = QueryCounts(upright=12, near_ground=5, laid_down=4)
-        queries = simulate_queries(ground_motion, segments, avatars, asked, seed=1)
-        labels = queries.skeleton_labels
-        actions = [queries.actions[action] for action in labels["action"]]
-        assert set(actions[:12]) == {"walk", "wave"}
-        assert actions[12:17] == ["sit"] * 5
-        assert all(action.startswith("lie-on-") for action in actions[17:])
-        # Each from one view.
-        assert_array_equal(queries.entries["skeleton"], np.arange(21))
-
-
-@pytest.mark.parametrize("count", [0, 1, 7, 48, 60])
-def test_spread_takes_poses_evenly_and_none_twice(poses: Poses, count: int) -> None:
-    rows = spread(poses, count)
-    assert len(rows) == min(count, len(poses))
-    numbers = 100 * rows.clip + rows.frame
-    assert (np.diff(numbers) > 0).all()
 
 
 @pytest.fixture

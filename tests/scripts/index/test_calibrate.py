@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from index.posture import POSTURES
 from index.skeleton import JOINTS, camera_rotation
 from index.store import PoseIndex
 from scripts.index.calibrate import (
     Queries,
     Trial,
-    calibration_floor,
     expected_calibration_error,
     run_trial,
 )
@@ -22,12 +20,6 @@ def test_calibration_error_is_zero_where_confidence_is_the_share_of_right_answer
     confidence = np.repeat([0.25, 0.75], 400)
     right = np.concatenate([np.arange(400) % 4 == 0, np.arange(400) % 4 != 0])
     assert expected_calibration_error(confidence, right) == pytest.approx(0)
-
-
-def test_calibration_error_weighs_bins_by_their_size() -> None:
-    confidence = np.array([0.05] * 90 + [0.95] * 10)
-    right = np.zeros(100, bool)
-    assert expected_calibration_error(confidence, right) == pytest.approx(0.9 * 0.05 + 0.1 * 0.95)
 
 
 @pytest.fixture(scope="module")
@@ -71,20 +63,3 @@ def test_known_silhouettes_are_answered_as_the_camera_saw_them(
         assert np.median(trial.error_px[rows, 0]) < 1
         assert np.median(trial.error_m[rows, 0]) < 0.05
         assert trial.right[rows, 0].mean() > 0.95
-
-
-def test_votes_of_postures(ground_simulation: Simulation, trial: Trial) -> None:
-    labels = ground_simulation.skeleton_labels[ground_simulation.entries["skeleton"][::9]]
-    lies = labels["action"] > 1
-    assert_allclose(trial.votes.sum(axis=1), 1)
-    assert_allclose(trial.postures, trial.votes)  # No network reads them.
-    for posture, shown in (("lying", lies), ("standing", ~lies)):
-        votes = trial.votes[:, POSTURES.index(posture)]
-        assert votes[shown].mean() > 2 * votes[~shown].mean()
-
-
-def test_calibration_floor_is_what_chance_makes_of_a_perfect_confidence() -> None:
-    confidence = np.random.default_rng(1).random(4000)
-    few, many = calibration_floor(confidence[:100]), calibration_floor(confidence)
-    assert 0 < many < 0.02 < few < 0.15
-    assert calibration_floor(np.ones(50)) == 0

@@ -75,13 +75,6 @@ def test_sphere_is_a_disc(view: tuple[float, float, float], distance: float) -> 
     assert_allclose((offset_x, offset_y), ((WIDTH - 1) / 2, (HEIGHT - 1) / 2), atol=0.3)
 
 
-def test_culling_skips_exactly_one_side_of_a_triangle() -> None:
-    triangle = np.array([[-0.2, -1, 0], [0.2, -1, 0], [0, 1, 0]], np.float64)
-    for culled, sides in ((True, 1), (False, 2)):
-        drawn = [draw(triangle, np.array([[0, 1, 2]]), (a, 0, 0), culled=culled) for a in (0, 180)]
-        assert sum(silhouette.any() for silhouette, _ in drawn) == sides
-
-
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("distance", [3.0, 20.0])
 def test_equals_polygons_filled_in_high_resolution(

@@ -21,11 +21,3 @@ def test_within_the_documented_ranges(
     near, far = DISTANCES_M
     inside = (views["distance"] >= near * 0.999) & (views["distance"] <= far * 1.001)
     assert inside.all()
-
-
-@given(seed=st.integers(0, 999), count=st.integers(2, 24))
-def test_views_of_a_pose_surround_it(seed: int, count: int) -> None:
-    azimuths = np.sort(sample_views(count, np.random.default_rng(seed))["azimuth_deg"])
-    gaps = np.diff(np.append(azimuths, azimuths[0] + 360))
-    # One in each stratum of 360 / count: neighbours are at most two strata apart.
-    assert gaps.max() <= 2 * 360 / count + 1e-3

@@ -2,9 +2,8 @@
 
 import itertools
 from functools import partial
-from pathlib import Path
 
-from scripts.load.bench import interleaved, read_street, summary
+from scripts.load.bench import interleaved, summary
 
 
 def test_tasks_take_turns_round_by_round() -> None:
@@ -23,9 +22,3 @@ def test_figures_a_person_need_people() -> None:
     assert (found["median_ms"], found["core_ms"]) == (20, 40)
     assert (found["median_ms_a_person"], found["core_ms_a_person"]) == (8, 16)
     assert "core_ms_a_person" not in summary(times, [0])
-
-
-def test_without_the_video_it_says_what_is_left_out(tmp_path: Path) -> None:
-    street, why = read_street(tmp_path)
-    assert street is None
-    assert "expected a video" in why[0]

@@ -5,7 +5,6 @@ import socket
 import socketserver
 import threading
 from collections.abc import Iterator
-from http.client import IncompleteRead
 
 import pytest
 
@@ -77,21 +76,6 @@ def test_answers_come_whole_over_connections_kept_or_opened_anew(
             client._connection.sock.recv(1, socket.MSG_PEEK)  # type: ignore[union-attr]
     assert server.connections == connections
     client.close()
-
-
-def test_an_answer_that_breaks_off_is_an_error(server: Server) -> None:
-    server.breaks_off, server.closes = True, b"close"
-    with pytest.raises(IncompleteRead):
-        client_of(server).send(Call("POST", "/pose", {"frame": b"x"}))
-
-
-def test_images_are_sent_as_files_and_text_as_fields() -> None:
-    call = Call("POST", "/pose", {"frame": b"x" * 1000, "boxes": b"[]"}, {"X-Camera-ID": "yard"})
-    body, headers = call.message
-    assert b'name="frame"; filename="image"' in body
-    assert b'name="boxes"\r\n' in body
-    assert headers["X-Camera-ID"] == "yard"
-    assert headers["Content-Type"].startswith("multipart/form-data; boundary=")
 
 
 def test_loops_count_every_request(server: Server) -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.networks.dense import DenseNetwork
-from scripts.training.fit_dense import averaged, fit_dense, half_way, with_outputs
+from scripts.training.fit_dense import averaged, fit_dense
 
 
 def network(seed: int, hidden: int) -> DenseNetwork:
@@ -26,21 +26,6 @@ def test_an_average_gives_the_mean_of_its_networks() -> None:
     parts = [network(seed, 3 + seed) for seed in range(3)]
     expected = np.mean([part(FEATURES) for part in parts], axis=0)
     assert_allclose(averaged(parts)(FEATURES), expected, atol=1e-5)
-
-
-def test_half_way_between_two_networks_every_weight_is_the_mean() -> None:
-    one, other = network(1, 5), network(2, 5)
-    middle = half_way(one, other)
-    assert_allclose(middle.weights[0], (one.weights[0] + other.weights[0]) / 2)
-    assert_allclose(middle.biases[1], (one.biases[1] + other.biases[1]) / 2)
-    assert_allclose(half_way(one, one)(FEATURES), one(FEATURES), atol=1e-6)
-
-
-def test_outputs_are_scaled_and_moved() -> None:
-    one = network(1, 5)
-    factors, offsets = np.array([2.0, -1.0]), np.array([0.5, 3.0])
-    changed = with_outputs(one, factors, offsets)(FEATURES)
-    assert_allclose(changed, one(FEATURES) * factors + offsets, atol=1e-5)
 
 
 @pytest.mark.slow
