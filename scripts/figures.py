@@ -239,11 +239,8 @@ def rendered() -> Iterator[tuple[Path, str]]:
     """Yield every page and document that holds figures, with the text that it should have."""
     for file in sorted(RESULTS.glob("*.json")):
         yield file.with_suffix(".md"), render(file)
-    for document in (
-        ROOT / "README.md",
-        *sorted((ROOT / "docs").glob("*.md")),
-        RESULTS / "README.md",
-    ):
+    documents = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "notes").glob("*.md")]
+    for document in (ROOT / "README.md", *sorted(documents), RESULTS / "README.md"):
         yield document, updated(document.read_text())
 
 
