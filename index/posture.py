@@ -1,7 +1,7 @@
 """The postures that answers name, and the posture of a skeleton, by rules on its geometry.
 
 Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
-in the order of the table in ``docs/index.md``; the first that holds decides. The posture of a
+in the order of the table in ``docs/notes/index.md``; the first that holds decides. The posture of a
 *person* follows from the votes of skeletons: :mod:`app.estimation.posture`.
 """
 

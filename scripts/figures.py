@@ -15,7 +15,7 @@ A template is text with format strings:
   with a dash for a missing one; ``@street.*`` goes two levels deep, and ``{group}`` is the outer
   name;
 - a list is written with commas, counts by name as ``40 x 200, 60 x 400``;
-- ``{confusion}`` stands for tables of the postures or actions that were taken for others.
+- ``{confusion}`` is a table of the postures that were taken for others.
 """
 
 import argparse
@@ -142,7 +142,10 @@ def updated(text: str, results: Path = RESULTS) -> str:
 
 
 def _fill(template: str, figures: Figures, origin: Figures | None = None) -> str:
-    values = {**figures, "confusion": _confusions(figures)}
+    values = dict(figures)
+    if "posture_confusion" in figures:
+        names = [*SILHOUETTE_GROUPS.names, "unclear"]
+        values["confusion"] = _counts(names, figures["posture_confusion"])
     if origin is not None:
         values["provenance"] = (
             f"`{origin['command']}`, revision {origin['revision']}, {origin['machine']}."
@@ -214,21 +217,8 @@ def named(key: str) -> str:
     return NAMES.get(key, key.replace("_", " "))
 
 
-def _confusions(figures: Figures) -> str:
-    """Return tables of counts: truth in rows, answers in columns; empty rows are left out."""
-    if "posture_confusion" in figures:
-        names = [*SILHOUETTE_GROUPS.names, "unclear"]
-        return _counts(names, figures["posture_confusion"])
-    compared = figures.get("votes", figures.get("sequences"))
-    if not isinstance(compared, dict):
-        return ""
-    return "\n\n".join(
-        f"### Confusions, {named(key)}\n\n{_counts(figures['actions'], one['confusion'])}"
-        for key, one in compared.items()
-    )
-
-
 def _counts(names: Sequence[str], counts: Sequence[Sequence[int]]) -> str:
+    """Return a table of counts: truth in rows, answers in columns; empty rows are left out."""
     rows = [["", *names], ["---"] * (len(names) + 1)]
     rows += [[name, *(str(n or "") for n in row)] for name, row in zip(names, counts, strict=True)
              if any(row)]  # fmt: skip
@@ -239,11 +229,8 @@ def rendered() -> Iterator[tuple[Path, str]]:
     """Yield every page and document that holds figures, with the text that it should have."""
     for file in sorted(RESULTS.glob("*.json")):
         yield file.with_suffix(".md"), render(file)
-    for document in (
-        ROOT / "README.md",
-        *sorted((ROOT / "docs").glob("*.md")),
-        RESULTS / "README.md",
-    ):
+    documents = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "notes").glob("*.md")]
+    for document in (ROOT / "README.md", *sorted(documents), RESULTS / "README.md"):
         yield document, updated(document.read_text())
 
 

@@ -11,7 +11,7 @@ from tests.conftest import ROOT
 
 DOCUMENTS = sorted(
     path
-    for pattern in ("*.md", "docs/*.md", "docs/results/*.md", "deploy/*.md")
+    for pattern in ("*.md", "docs/*.md", "docs/notes/*.md", "docs/results/*.md", "deploy/*.md")
     for path in ROOT.glob(pattern)
 )
 

@@ -14,7 +14,7 @@ from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette, landmark_rows
 
-# Chosen on even-numbered photographs, see docs/history.md.
+# Chosen on even-numbered photographs, see docs/notes/history.md.
 _SILHOUETTE_SHARE, _BOX_SHARE, _LANDMARKS_SHARE = 0.01, 0.05, 0.3
 
 
