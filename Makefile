@@ -17,7 +17,7 @@ REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test coverage test-all test-newest mutants check format index reranker paper evaluate bench openapi constraints clean
+.PHONY: run test coverage test-all test-newest mutants check format index reranker paper evaluate bench results openapi constraints clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -77,6 +77,10 @@ evaluate: $(BUILD)/.stamp
 
 bench: $(DEV)/.stamp
 	$(DEV)/bin/python -m scripts bench --shared $(SHARED) $(ARGS)
+
+# All pages at one revision, a night at most; goes on where it was stopped.
+results: $(BUILD)/.stamp
+	$(BUILD)/bin/python -m scripts results $(ARGS)
 
 openapi: $(DEV)/.stamp
 	$(DEV)/bin/python -m scripts openapi

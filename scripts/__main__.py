@@ -65,6 +65,7 @@ COMMANDS = {
     "publish": ("scripts.publish", "load an index into Milvus"),
     "evaluate": ("scripts.evaluate", "run experiments and write their pages"),
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),
+    "results": ("scripts.play_results", "measure again what is older than the code"),
     "bench": ("scripts.load.bench", "time whole requests against a yardstick"),
     "profile": ("scripts.load.profile", "print where the time of a frame goes, stage by stage"),
     "overload": ("scripts.load.overload", "offer a server ten times the load it carries"),

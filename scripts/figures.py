@@ -2,9 +2,10 @@
 
     python -m scripts figures [--check]
 
-A measurement writes ``docs/results/NAME.json``: command, revision, machine, figures. This command
-renders ``NAME.md`` beside it from ``templates/NAME.md``, and in other documents what stands between
-``<!-- figures: NAME -->`` and ``<!-- end of figures -->`` from ``templates/documents/NAME.md``.
+A measurement writes ``docs/results/NAME.json``: command, revision and its date, machine, figures.
+This command renders ``NAME.md`` beside it from ``templates/NAME.md``, and in other documents what
+stands between ``<!-- figures: NAME -->`` and ``<!-- end of figures -->`` from
+``templates/documents/NAME.md``.
 With ``--check`` it changes nothing, and exits with 1 if a document differs.
 
 A template is text with format strings:
@@ -29,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from index.posture import LOW, SILHOUETTE_GROUPS
-from scripts.results import RESULTS, ROOT, machine, revision
+from scripts.results import RESULTS, ROOT, date, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
 RELIABILITY = ("cameras", "overload", "fuzz", "soak")
@@ -97,7 +98,12 @@ def report_section(section: str, command: str, figures: Figures, out: Path | Non
 
 
 def _origin(command: str) -> dict[str, str]:
-    return {"command": command, "revision": revision(), "machine": machine()}
+    return {
+        "command": command,
+        "revision": revision(),
+        "date": date(),
+        "machine": machine(),
+    }
 
 
 def render(file: Path) -> str:
@@ -148,7 +154,8 @@ def _fill(template: str, figures: Figures, origin: Figures | None = None) -> str
         values["confusion"] = _counts(names, figures["posture_confusion"])
     if origin is not None:
         values["provenance"] = (
-            f"`{origin['command']}`, revision {origin['revision']}, {origin['machine']}."
+            f"`{origin['command']}`, revision {origin['revision']} ({origin['date']}), "
+            f"{origin['machine']}."
         )
     lines: list[str] = []
     for line in (TEMPLATES / f"{template}.md").read_text().splitlines():

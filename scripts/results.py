@@ -1,4 +1,4 @@
-"""What every measurement states beside its figures: revision and machine."""
+"""What every measurement states beside its figures: revision, its date, and machine."""
 
 import platform
 import subprocess
@@ -37,7 +37,16 @@ def machine() -> str:
 
 def revision() -> str:
     """Return the git revision of the checkout, ``unknown`` outside one."""
-    command = ["git", "rev-parse", "--short", "HEAD"]
+    return _of_head("%h")
+
+
+def date() -> str:
+    """Return the date of the revision, ``unknown`` outside a checkout."""
+    return _of_head("%cs")
+
+
+def _of_head(form: str) -> str:
+    command = ["git", "show", "--no-patch", f"--format={form}", "HEAD"]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     return result.stdout.strip() or "unknown"
 

@@ -31,7 +31,7 @@ def test_every_page_and_document_says_what_was_measured() -> None:
 @pytest.mark.parametrize("file", sorted(RESULTS.glob("*.json")), ids=lambda path: path.stem)
 def test_results_say_what_made_them(file: Path) -> None:
     document = json.loads(file.read_text())
-    assert set(document) == {"command", "revision", "machine", "figures"}
+    assert set(document) == {"command", "revision", "date", "machine", "figures"}
     assert document["command"].startswith("python -m scripts ")
 
 
