@@ -84,6 +84,17 @@ class CameraSession:
         Finds people and estimates their poses.
     clock : callable
         Seconds, for frames without a timestamp.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from app import CameraSession, Upload, load_estimator
+    >>> session = CameraSession(load_estimator())
+    >>> walkers = Upload(Path("tests/data/walkers.jpg").read_bytes())
+    >>> [event.event for event in session.process(walkers, timestamp=0.0, n=0).events]
+    ['entered', 'entered', 'entered', 'entered', 'entered']
+    >>> sorted(one.track_id for one in session.process(walkers, timestamp=0.1, n=0).persons)
+    [1, 2, 3, 4, 5]
     """
 
     def __init__(self, estimator: Estimator, clock: Callable[[], float] = time.monotonic) -> None:

@@ -67,6 +67,20 @@ class Estimator:
         refused.
     max_pixels : int
         Largest image accepted, width times height.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from app import Upload, load_estimator
+    >>> estimator = load_estimator()
+    >>> walkers = Upload(Path("tests/data/walkers.jpg").read_bytes())
+    >>> people = estimator.estimate(walkers).persons
+    >>> [round(person.box.x) for person in people]
+    [25, 133, 207, 223, 233]
+    >>> people[0].hypotheses[0].points_3d.shape  # Metres in the axes of the camera.
+    (24, 3)
+    >>> estimator.by("paper").segmenter
+    'grabcut'
     """
 
     def __init__(
@@ -345,6 +359,12 @@ def load_estimator(
         If the index cannot be used.
     NetworkError
         If a network file shipped with the package is missing or has been modified.
+
+    Examples
+    --------
+    >>> from app import Settings, load_estimator
+    >>> load_estimator(Settings(method="paper")).method
+    'paper'
     """
     settings = settings or Settings()
     estimator_of = partial(

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from descriptor.descriptor import restore
+from index import DEFAULT_PATH
 from index.confidence import RERANKING_FEATURES, Calibration
 from index.network import JointNetwork
 from index.reranking import RankingModel
@@ -50,7 +51,7 @@ class ArtefactError(ValueError):
 
 
 def load_index(
-    path: Path,
+    path: Path = DEFAULT_PATH,
     searched_by: Neighbours | None = None,
     *,
     reranked: bool = True,

@@ -52,6 +52,12 @@ def test_importing_the_package_changes_nothing_for_a_program() -> None:
     run(_SIDE_EFFECTS)
 
 
+def test_what_the_page_imports_is_public() -> None:
+    imported = re.findall(r"^from app import (.+)$", "\n".join(EXAMPLES), re.MULTILINE)
+    assert {name for names in imported for name in names.split(", ")} <= set(app.__all__)
+    assert not re.findall(r"^(?:from|import) (?:app\.|index|descriptor)", "\n".join(EXAMPLES), re.M)
+
+
 @pytest.mark.parametrize("name", app.__all__)
 def test_what_is_public_is_there(name: str) -> None:
     assert getattr(app, name) is not None

@@ -73,6 +73,22 @@ class Upload:
     scene.
     ``track_ids`` are the caller's identities of the people in the boxes. Without optics, a field of
     view is assumed, with square pixels and an upright camera.
+
+    Raises
+    ------
+    UploadError
+        If the parts do not go together.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from app import Box, Upload
+    >>> walkers = Path("tests/data/walkers.jpg").read_bytes()
+    >>> Upload(walkers, boxes=[Box(x=133, y=162, width=41, height=105)], track_ids=["17"]).given
+    ('frame', 'boxes', 'track_ids')
+    >>> Upload(mask=walkers, boxes=[])
+    Traceback (most recent call last):
+    app.UploadError: expected a mask or boxes, got both
     """
 
     frame: bytes | NDArray[np.uint8] | None = None
