@@ -167,7 +167,7 @@ def test_a_new_place_becomes_the_usual_view_but_a_cover_does_not() -> None:
     ):
         view = View()
         shown = [(1200.0, SCENES["room"]), (1800.0, blocked)]
-        assert [one.state for one in watch(view, shown, fps=0.5)] == states
+        assert [one.state for one in watch(view, shown, fps=0.25)] == states
 
 
 def test_another_size_is_another_view() -> None:

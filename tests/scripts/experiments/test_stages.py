@@ -13,7 +13,7 @@ from scripts.experiments.rendered_people import FILE, read_rendered_people
 from scripts.experiments.stages import figures_of, ways_of
 
 LEAST_LOSS_MM = {"silhouette": 10.0}
-"""What permuting the index costs the best of seven, by way; measured: 22 mm."""
+"""What permuting the index costs the best of seven, by way; measured of half of the people: 20 mm."""
 
 
 def test_in_a_permuted_index_a_descriptor_finds_another_entry(tiny_index: PoseIndex) -> None:
@@ -38,7 +38,7 @@ def test_rendered_people_stand_in_their_boxes() -> None:
 @pytest.mark.parametrize("way", LEAST_LOSS_MM)
 def test_answers_of_rendered_people_rest_on_the_descriptor(way: str) -> None:
     estimator = load_estimator(Settings())
-    people = in_video(read_rendered_people(), estimator)
+    people = in_video(read_rendered_people()[::2], estimator)
     ways = ways_of(estimator)
     kept, lost = (
         figures_of([(one, ways[name](one)) for one in people])["best_mm"]
