@@ -47,17 +47,23 @@ class TooManyCamerasError(ValueError):
     """A caller has configured as many cameras as allowed, all of which have sent frames."""
 
 
+class ImageSize(NamedTuple):
+    """Columns and rows of a frame."""
+
+    width: int
+    height: int
+
+
 @dataclass(frozen=True)
 class SessionSummary:
-    """A camera session at a glance: its last frame, in pixels and seconds, and its people.
+    """A camera session at a glance: its last frame, in seconds, and its people.
 
     ``age_s`` and ``idle_s`` are the seconds since the first and since the last frame came.
     """
 
     frames: int
     timestamp: float
-    width: int
-    height: int
+    image: ImageSize
     track_ids: tuple[int, ...]
     age_s: float
     idle_s: float
@@ -108,8 +114,7 @@ class _OpenSession:
         self._newest = SessionSummary(
             frames=frame.frame_index + 1,
             timestamp=frame.timestamp,
-            width=width,
-            height=height,
+            image=ImageSize(width, height),
             track_ids=tuple(person.track_id for person in frame.persons),
             age_s=now - self._first,
             idle_s=0.0,

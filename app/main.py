@@ -13,7 +13,7 @@ from starlette.types import Scope
 from app import VERSION
 from app.camera import CameraSession
 from app.cameras import CameraSessions
-from app.decoding.workers import Workers
+from app.decoding.pictures import Workers
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
 from app.http.errors import register_error_handlers

@@ -20,7 +20,7 @@ from app import VERSION
 from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
-from app.decoding.workers import Workers
+from app.decoding.pictures import Workers
 from app.http.errors import overloaded
 from app.http.identity import CAMERA_PATTERN, Caller, identity_of
 from app.http.metrics import Metrics

@@ -1,12 +1,22 @@
 """The public contract: the models that clients send and receive, with units and examples."""
 
+import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    with_config,
+)
 from typing_extensions import TypedDict
 
 from app.estimation.posture import PostureLabel
 from app.estimation.results import FacingSource, Source
+from app.estimation.upload import MIN_BOX_PX
 from app.vision.images import ImageWarning
 from index.posture import PostureName
 
@@ -17,6 +27,25 @@ JointForm = Literal["full", "compact", "none"]
 
 Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
+# The digits of what is written. They are few enough that every processor gives the same answer.
+METRE_DIGITS, PIXEL_DIGITS = 4, 2
+MIN_FOV_DEG = 0.01
+"""Least field of view that is written: that of a frame of one column could be rounded to 0."""
+
+
+def rounding(digits: int, least: float = -math.inf) -> BeforeValidator:
+    """Round what is written. It comes after the limits of a value, or they go undocumented."""
+    return BeforeValidator(lambda value: max(least, round(value, digits)))
+
+
+Score = Annotated[Probability, rounding(4)]
+Seconds = Annotated[FiniteFloat, rounding(4)]
+Duration = Annotated[FiniteFloat, Field(ge=0), rounding(4)]
+_Pixels = Annotated[FiniteFloat, rounding(PIXEL_DIGITS)]
+_Side = Annotated[FiniteFloat, Field(gt=0), rounding(PIXEL_DIGITS, MIN_BOX_PX)]
+_Metres = Annotated[FiniteFloat, rounding(2)]
+_Degrees = Annotated[FiniteFloat, rounding(2)]
+_Milliseconds = Annotated[FiniteFloat, Field(ge=0), rounding(3)]
 
 FieldOfView = Annotated[
     FiniteFloat,
@@ -57,9 +86,9 @@ Roll = Annotated[
 
 
 class Model(BaseModel):
-    """Base of all models: immutable, unknown fields forbidden."""
+    """Base of all models: immutable, unknown fields forbidden, also made of objects alike."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
 
 
 FRAME = (
@@ -152,10 +181,10 @@ class Point3D(TypedDict):
 class Box(Model):
     """A person's bounding box."""
 
-    x: FiniteFloat = Field(description="Left edge, pixels of the frame.", examples=[401.0])
-    y: FiniteFloat = Field(description="Top edge, pixels of the frame.", examples=[120.0])
-    width: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[61.0])
-    height: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[148.0])
+    x: _Pixels = Field(description="Left edge, pixels of the frame.", examples=[401.0])
+    y: _Pixels = Field(description="Top edge, pixels of the frame.", examples=[120.0])
+    width: _Side = Field(description="Pixels of the frame.", examples=[61.0])
+    height: _Side = Field(description="Pixels of the frame.", examples=[148.0])
 
 
 class ImageSize(Model):
@@ -168,9 +197,7 @@ class ImageSize(Model):
 class Image(ImageSize):
     """The frame after its EXIF orientation was applied, and its camera."""
 
-    fov_deg: FiniteFloat = Field(
-        gt=0,
-        lt=180,
+    fov_deg: Annotated[FiniteFloat, Field(gt=0, lt=180), rounding(2, MIN_FOV_DEG)] = Field(
         description="The horizontal field of view that was used, degrees.",
         examples=[60.0],
     )
@@ -195,11 +222,10 @@ class Image(ImageSize):
 class Position(Model):
     """Where a person is: metres from the camera to the pelvis, in the camera's axes."""
 
-    x: FiniteFloat = Field(description="Metres to the right.", examples=[0.4])
-    y: FiniteFloat = Field(description="Metres down.", examples=[0.2])
-    z: FiniteFloat = Field(description="Metres away from the camera.", examples=[6.1])
-    sd: FiniteFloat = Field(
-        ge=0,
+    x: _Metres = Field(description="Metres to the right.", examples=[0.4])
+    y: _Metres = Field(description="Metres down.", examples=[0.2])
+    z: _Metres = Field(description="Metres away from the camera.", examples=[6.1])
+    sd: Annotated[FiniteFloat, Field(ge=0), rounding(2)] = Field(
         description="Standard deviation along the line of sight, metres: the distance follows from "
         "the size of the body in the image, and people differ by a tenth.",
         examples=[0.6],
@@ -278,19 +304,18 @@ class ObservedKeypoint(Model):
     """A keypoint in the photograph."""
 
     name: str = Field(description="Left and right are the person's own.", examples=["nose"])
-    x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
-    y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
-    z: FiniteFloat = Field(
+    x: _Pixels = Field(description="Pixels of the frame.", examples=[429.0])
+    y: _Pixels = Field(description="Pixels of the frame.", examples=[128.5])
+    z: Annotated[FiniteFloat, rounding(4)] = Field(
         description="Metres behind the middle of the hips, negative in front of it, as the network "
         "estimates it.",
         examples=[-0.21],
     )
-    sd: FiniteFloat = Field(
-        ge=0,
+    sd: Annotated[FiniteFloat, Field(ge=0), rounding(3)] = Field(
         description="Standard deviation of `z`, metres: a wrist of 0.2 may well be 20 cm nearer.",
         examples=[0.09],
     )
-    score: Probability = Field(
+    score: Score = Field(
         description="Visibility: how certain the network is that the keypoint is inside the frame "
         "and not hidden. Hidden ones are guessed from the rest of the body.",
         examples=[0.81],
@@ -300,7 +325,7 @@ class ObservedKeypoint(Model):
 class Facing(Model):
     """Whether the person faces the camera, which a silhouette alone cannot show."""
 
-    front_probability: Probability = Field(
+    front_probability: Score = Field(
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
@@ -321,7 +346,7 @@ class Posture(Model):
         "half.",
         examples=["walking"],
     )
-    probability: Probability = Field(
+    probability: Score = Field(
         description="Probability that the label is right; for `unclear`, that of the likeliest "
         "posture.",
         examples=[0.88],
@@ -361,19 +386,37 @@ class HypothesisSource(MotionSource):
 class Camera(Model):
     """Position of the virtual camera of an entry."""
 
-    azimuth_deg: FiniteFloat = Field(
+    azimuth_deg: Annotated[_Degrees, AfterValidator(lambda degrees: degrees % 360.0)] = Field(
         description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
         "side.",
         examples=[45.0],
     )
-    elevation_deg: FiniteFloat = Field(
+    elevation_deg: _Degrees = Field(
         description="Degrees; height angle of the camera above the person.", examples=[15.0]
     )
-    roll_deg: FiniteFloat = Field(
+    roll_deg: _Degrees = Field(
         description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
         "About 90 or -90 for a person who lies.",
         examples=[0.0],
     )
+
+
+Flat3D = Annotated[
+    list[FiniteFloat | None] | None,
+    Field(
+        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
+        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
+    ),
+]
+Flat2D = Annotated[
+    list[FiniteFloat | None] | None,
+    Field(
+        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
+        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[431.2, 190.4, 430.6, 177.9]],
+    ),
+]
 
 
 class Hypothesis(Model):
@@ -448,16 +491,8 @@ class Hypothesis(Model):
         "`joints=compact` or `none`.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
-    joints_3d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
-        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
-        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
-    )
-    joints_2d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
-        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
-        examples=[[431.2, 190.4, 430.6, 177.9]],
-    )
+    joints_3d_flat: Flat3D
+    joints_2d_flat: Flat2D
     source: HypothesisSource
     camera: Camera
 
@@ -466,7 +501,7 @@ class Person(Model):
     """One person of the frame."""
 
     box: Box
-    detection_score: FiniteFloat | None = Field(
+    detection_score: Annotated[FiniteFloat, rounding(4)] | None = Field(
         description="The detector's probability that this is a person; for a tracked person, the "
         "highest so far. Null if the caller located the people.",
         examples=[0.93],
@@ -505,22 +540,21 @@ class Person(Model):
 class Timings(Model):
     """Durations in milliseconds."""
 
-    decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
-    detect: FiniteFloat = Field(ge=0, description="Detecting people.", examples=[21.0])
-    segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
-    keypoints: FiniteFloat = Field(
-        ge=0, description="Reading keypoints from the photograph.", examples=[12.5]
+    decode: _Milliseconds = Field(description="Decoding the images.", examples=[3.1])
+    detect: _Milliseconds = Field(description="Detecting people.", examples=[21.0])
+    segment: _Milliseconds = Field(description="Cutting out silhouettes.", examples=[4.4])
+    keypoints: _Milliseconds = Field(
+        description="Reading keypoints from the photograph.", examples=[12.5]
     )
-    describe: FiniteFloat = Field(
-        ge=0, description="Normalising silhouettes to 128x48.", examples=[0.1]
+    describe: _Milliseconds = Field(
+        description="Normalising silhouettes to 128x48.", examples=[0.1]
     )
-    search: FiniteFloat = Field(
-        ge=0,
+    search: _Milliseconds = Field(
         description="Moments, nearest entries, and choosing distinct poses among them.",
         examples=[0.4],
     )
-    total: FiniteFloat = Field(
-        ge=0, description="All work on this frame, without waiting and transport.", examples=[29.6]
+    total: _Milliseconds = Field(
+        description="All work on this frame, without waiting and transport.", examples=[29.6]
     )
 
 

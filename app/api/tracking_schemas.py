@@ -6,7 +6,10 @@ import numpy as np
 from pydantic import Field, FiniteFloat, field_validator, model_validator
 
 from app.api.schemas import (
+    Duration,
     FieldOfView,
+    Flat2D,
+    Flat3D,
     FrameUpload,
     ImageSize,
     Model,
@@ -17,6 +20,9 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
     Roll,
+    Score,
+    Seconds,
+    rounding,
 )
 from app.estimation.posture import PostureLabel
 from app.film import VideoEndReason
@@ -162,16 +168,8 @@ class SmoothedPose(Model):
         description="The same keypoints in pixels of the frame. Null as above.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
-    joints_3d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`. Null as a whole unless "
-        "`joints=compact`.",
-        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
-    )
-    joints_2d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`. Null as a whole unless "
-        "`joints=compact`.",
-        examples=[[431.2, 190.4, 430.6, 177.9]],
-    )
+    joints_3d_flat: Flat3D
+    joints_2d_flat: Flat2D
 
 
 class Action(Model):
@@ -180,9 +178,7 @@ class Action(Model):
     label: str = Field(
         description="One of the actions of the index (`GET /index`).", examples=["walk"]
     )
-    probability: Probability = Field(
-        description="Probability that the label is right.", examples=[0.88]
-    )
+    probability: Score = Field(description="Probability that the label is right.", examples=[0.88])
 
 
 class TrackedPerson(Person):
@@ -216,8 +212,7 @@ class TrackedPerson(Person):
         "if none was given.",
         examples=["17"],
     )
-    still_s: FiniteFloat | None = Field(
-        ge=600,
+    still_s: Annotated[FiniteFloat, Field(ge=600), rounding(4)] | None = Field(
         description="Seconds for which the picture of the person has not changed, from 600 on: a "
         "statue, a screen, a poster or a sleeping person. Otherwise null.",
         examples=[None],
@@ -252,10 +247,9 @@ class Event(Model):
         description="The caller's own identity of the person. Null if none was given.",
         examples=["17"],
     )
-    timestamp: FiniteFloat = Field(description="Time of the frame, seconds.", examples=[12.4])
-    probability: Probability = Field(description="Probability of the event.", examples=[0.93])
-    dwell_s: FiniteFloat | None = Field(
-        ge=0,
+    timestamp: Seconds = Field(description="Time of the frame, seconds.", examples=[12.4])
+    probability: Score = Field(description="Probability of the event.", examples=[0.93])
+    dwell_s: Duration | None = Field(
         description="Seconds that the person was in the zone, with `zone_left`; otherwise null.",
         examples=[31.5],
     )
@@ -271,7 +265,7 @@ class _TrackedFrame(PoseResponse):
     frame_index: int = Field(
         ge=0, description="Frames since the session began, from 0.", examples=[40]
     )
-    timestamp: FiniteFloat = Field(
+    timestamp: Seconds = Field(
         description="Time of the frame, seconds: its timestamp, or the time since the session "
         "began.",
         examples=[12.4],
@@ -323,20 +317,18 @@ class CameraState(Model):
         description="Frames since the session began; 0 where there is none.",
         examples=[4120],
     )
-    timestamp: FiniteFloat | None = Field(
+    timestamp: Seconds | None = Field(
         description="Time of the last frame, seconds. Null without a session.", examples=[412.0]
     )
     image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
     track_ids: list[int] = Field(
         description="The people in the last frame, left to right.", examples=[[3, 7]]
     )
-    age_s: FiniteFloat | None = Field(
-        ge=0,
+    age_s: Duration | None = Field(
         description="Seconds since the first frame came. Null without a session.",
         examples=[413.2],
     )
-    idle_s: FiniteFloat | None = Field(
-        ge=0,
+    idle_s: Duration | None = Field(
         description="Seconds since the last frame came. Null without a session.",
         examples=[0.1],
     )
@@ -380,17 +372,17 @@ class PostureTime(Model):
     """The time that a person spent in a posture."""
 
     label: PostureLabel = Field(description="The posture.", examples=["walking"])
-    seconds: FiniteFloat = Field(ge=0, description="Total time.", examples=[11.8])
+    seconds: Duration = Field(description="Total time.", examples=[11.8])
 
 
 class TrackSummary(Model):
     """A person over a whole video."""
 
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
-    first_timestamp: FiniteFloat = Field(
+    first_timestamp: Seconds = Field(
         description="Time of the first frame with the person, seconds.", examples=[0.6]
     )
-    last_timestamp: FiniteFloat = Field(
+    last_timestamp: Seconds = Field(
         description="Time of the last frame with the person, seconds.", examples=[12.4]
     )
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])

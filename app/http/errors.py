@@ -13,11 +13,11 @@ from starlette.types import Receive, Scope, Send
 
 from app.api.schemas import Problem
 from app.camera import LateFrameError
+from app.decoding.videos import VideoError
 from app.estimation.upload import UploadError
 from app.http.routing import RouteTable, request_state
 from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
-from app.video.reader import VideoError
 from index.search import SearchUnavailableError
 
 MEDIA_TYPE = "application/problem+json"

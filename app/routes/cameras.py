@@ -10,7 +10,7 @@ from fastapi.responses import Response
 from pydantic import ValidationError
 from starlette.types import Scope
 
-from app.api.replies import camera_reply, events_reply, settings_from, track_reply
+from app.api.replies import camera_reply, settings_from, tracked_fields
 from app.api.tracking_schemas import (
     MAX_CORNERS,
     MAX_NAME_CHARACTERS,
@@ -121,7 +121,8 @@ async def track_frame(
         runtime.metrics.observe_events(tracked.events)
         runtime.metrics.observe_stages(tracked.timings_ms)
         runtime.metrics.observe_persons(tracked.persons)
-        reply = track_reply(tracked, camera.camera_id, estimator.index, query.form)
+        fields = tracked_fields(tracked, estimator.index, query.form)
+        reply = TrackResponse(camera_id=camera.camera_id, **fields)
         return reply.model_dump_json().encode()
 
     # The first frame of a session takes longer.
@@ -168,7 +169,8 @@ async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
     They are kept as long as the camera has a session or a configuration.
     """
     with _known(camera):
-        return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
+        events = runtime_of(request).sessions.events(camera)
+        return CameraEvents.model_validate({"camera_id": camera.camera_id, "events": events})
 
 
 # Values of a configuration: all corners of all zones, and commas in their names.

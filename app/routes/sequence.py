@@ -12,9 +12,11 @@ from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Receive, Scope, Send
 
-from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.api.tracking_schemas import SequenceLine, VideoUpload
+from app.api.replies import tracked_fields
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceLine, VideoUpload
 from app.camera import CameraSession
+from app.decoding import Frame
+from app.decoding.videos import NextFrame, new_file, open_video
 from app.film import VideoRun
 from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
@@ -24,8 +26,6 @@ from app.routes.queries import GivenOnce, SequenceQuery, estimator_for, hypothes
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
 from app.tracking.results import TrackedFrame
-from app.video import Frame
-from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
 _BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace", "application/octet-stream")
@@ -67,7 +67,7 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
 class _OpenVideo:
     """A video whose first frame could be read."""
 
-    reader: VideoReader
+    next_frame: NextFrame
     first: Frame
 
 
@@ -83,10 +83,10 @@ async def _open(
         with runtime.sequence(caller):
             async with open_video(
                 file, query.stride, settings.max_pixels, settings.sequence_timeout_s
-            ) as reader:
-                first = await reader.next()
+            ) as next_frame:
+                first = await next_frame()
                 assert first is not None
-                yield _OpenVideo(reader, first)
+                yield _OpenVideo(next_frame, first)
 
 
 @router.post(
@@ -127,9 +127,9 @@ async def analyse_sequence(
         raise invalid("max_frames", f"expected at most {most}, got {query.max_frames}")
     estimator, metrics = estimator_for(runtime.ready_estimator(), query), runtime.metrics
     run = VideoRun(
-        CameraSession(estimator),
-        runtime.executor,
-        identity_of(request.scope).caller,
+        session=CameraSession(estimator),
+        executor=runtime.executor,
+        caller=identity_of(request.scope).caller,
         kind=PATH,
         n=hypotheses_of(query),
         evidence=query.evidence,
@@ -141,16 +141,36 @@ async def analyse_sequence(
     def write(tracked: TrackedFrame, number: int) -> bytes:
         metrics.observe_stages(tracked.timings_ms)
         metrics.observe_persons(tracked.persons)
-        return sequence_line(sequence_frame_reply(tracked, number, estimator.index, query.form))
+        fields = tracked_fields(tracked, estimator.index, query.form)
+        return _line(SequenceFrame(type="frame", video_frame=number, **fields))
 
     def is_ending() -> bool:
         return request_state(request.scope).is_ending
 
     async def lines() -> AsyncIterator[bytes]:
-        async with aclosing(run.lines(video.first, video.reader, write, is_ending)) as frames:
+        async with aclosing(run.lines(video.first, video.next_frame, write, is_ending)) as frames:
             async for line in frames:
                 yield line
-        assert run.end is not None
-        yield sequence_line(sequence_end_reply(run.summary, run.end))
+        yield _line(_end_of(run))
 
     return LineStream(lines())
+
+
+def _end_of(run: VideoRun) -> SequenceEnd:
+    summary, end = run.summary, run.end
+    assert end is not None
+    return SequenceEnd.model_validate(
+        {
+            "type": "end",
+            "reason": end.reason,
+            "detail": end.detail,
+            "frames": summary.frames,
+            "damaged": summary.damaged,
+            "tracks": [track for _, track in sorted(summary.tracks.items())],
+            "events": summary.events,
+        }
+    )
+
+
+def _line(reply: SequenceLine) -> bytes:
+    return reply.model_dump_json().encode() + b"\n"

@@ -94,7 +94,7 @@ def test_a_summary_describes_the_last_frame() -> None:
     summary = registry.summary(CameraKey(0, "yard")).session
     assert summary is not None
     assert (summary.frames, summary.timestamp) == (2, 2.0)
-    assert (summary.width, summary.height) == (7, 2)
+    assert summary.image == (7, 2)
     assert (summary.age_s, summary.idle_s) == (6.0, 5.0)
 
 

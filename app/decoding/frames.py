@@ -18,7 +18,7 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from app.video import MIN_STEP_S, Frame
+from app.decoding import MIN_STEP_S, Frame
 from app.vision.kinds import HEAD_BYTES, kind_of
 
 # A frame rate above the maximum is treated as wrong and replaced by the default.
@@ -39,11 +39,7 @@ class UnreadableError(ValueError):
 
 
 class TooLargeError(ValueError):
-    """A frame has too many pixels."""
-
-    def __init__(self, width: int, height: int) -> None:
-        super().__init__(f"{width}x{height}")
-        self.width, self.height = width, height
+    """A frame has too many pixels; the message is its size."""
 
 
 class Video:
@@ -177,7 +173,7 @@ def _ended_early(messages: list[tuple[int, str, str]]) -> bool:
 
 def _check_size(width: int, height: int, max_pixels: float) -> None:
     if width * height > max_pixels:
-        raise TooLargeError(width, height)
+        raise TooLargeError(f"{width}x{height}")
 
 
 def _head(source: str | IO[bytes]) -> bytes:
