@@ -173,17 +173,15 @@ class VideoRun:
                 if self.summary.damaged:
                     detail += f", {self.summary.damaged} of them damaged"
                 end = VideoEnd("complete", detail)
-        except TimeoutError:
-            end = VideoEnd("timeout", f"the video took longer than {self.timeout_s:g} seconds")
-        except DeadlineError as error:
-            end = VideoEnd("timeout", str(error))
+        except (TimeoutError, DeadlineError) as error:
+            late = f"the video took longer than {self.timeout_s:g} seconds"
+            end = VideoEnd("timeout", str(error) or late)
         except (VideoError, UploadError) as error:
             end = VideoEnd("broken", str(error))
         except SearchUnavailableError:
             end = VideoEnd("unavailable", SEARCH_FAILED)
         except (ShutdownError, ClientGoneError):
-            # The client is still connected, or this would have been cancelled, so the executor is
-            # shutting down.
+            # If the client had gone, this would have been cancelled: the executor shuts down.
             end = _SHUTDOWN
         except Exception:
             log.exception("a video failed")

@@ -99,7 +99,7 @@ def test_the_bridge_is_a_client() -> None:
 
 def test_the_bridge_loads_nothing_of_the_service() -> None:
     loaded = output_of(
-        sys.executable, "-c", "import sys, app.bridge.command; print(*sys.modules)"
+        sys.executable, "-c", "import sys, app.bridge.__main__; print(*sys.modules)"
     ).split()
     assert {"faiss", "fastapi", "ai_edge_litert", "index"}.isdisjoint(loaded)
 

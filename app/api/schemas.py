@@ -52,9 +52,9 @@ FieldOfView = Annotated[
     Field(
         ge=10,
         le=170,
-        description="Horizontal field of view of the camera, degrees, 10 to 170. Without it, 60 "
-        "degrees are assumed across the longer side of the frame. In a camera session, a frame's "
-        "own value wins over that of `PUT /cameras/{camera_id}`.",
+        description="Horizontal field of view of the camera, degrees. Without it, 60 degrees are "
+        "assumed across the longer side of the frame. In a camera session, a frame's own value "
+        "wins over that of `PUT /cameras/{camera_id}`.",
         examples=[90.0],
     ),
 ]
@@ -63,9 +63,9 @@ PixelAspect = Annotated[
     Field(
         ge=0.25,
         le=4,
-        description="Width over height of a pixel, 0.25 to 4; 2 for a camera that sends 960x1080 "
-        "for 1920x1080. 1 without it, and of a video what its file says. The reply is in pixels "
-        "of the frame that was sent. In a camera session, a frame's own value wins.",
+        description="Width over height of a pixel; 2 for a camera that sends 960x1080 for "
+        "1920x1080. 1 without it, and of a video what its file says. The reply is in pixels of the "
+        "frame that was sent. In a camera session, a frame's own value wins.",
         examples=[1.0],
     ),
 ]
@@ -76,10 +76,9 @@ Roll = Annotated[
         le=360,
         multiple_of=90,
         description="Clockwise rotation of the camera about its line of sight, degrees, a multiple "
-        "of 90 from -360 to 360; 0 without it. 90 for a camera whose upper side points to the "
-        "right, so that people have their heads at the left of its picture. Frames are turned "
-        "upright before people are looked for, and the reply is in pixels and axes of the frame "
-        "that was sent. In a camera session, a frame's own value wins.",
+        "of 90; 0 without it. 90 for a camera whose upper side points to the right, so that people "
+        "have their heads at the left of its picture. Frames are turned upright first; the reply "
+        "is in pixels and axes of the frame that was sent. In a session, a frame's own value wins.",
         examples=[0.0],
     ),
 ]
@@ -105,10 +104,9 @@ class FrameUpload(Model):
     )
     mask: bytes | None = Field(
         default=None,
-        description="Where the people are: an image of the frame's size, 0 background, "
-        "k = person k; one with two values, or with soft edges, is one person. PNG keeps the "
-        "labels; a JPEG has to be black and white. Without a frame, poses are estimated from the "
-        "silhouettes alone.",
+        description="Where the people are: an image of the frame's size, 0 background, k = person "
+        "k; one with two values, or with soft edges, is one person. PNG keeps the labels; a JPEG "
+        "has to be black and white. Without a frame, poses follow from the silhouettes alone.",
     )
     background: bytes | None = Field(
         default=None,
@@ -137,10 +135,7 @@ class Problem(Model):
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
     reason: str = Field(
-        description="The same for programs: `overloaded`, `superseded` by a newer frame of the "
-        "camera, `late_frame`, `deadline`, `not_ready`, `unavailable` (the index cannot be "
-        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see running.md; more "
-        "may be added.",
+        description="The same for programs, as listed in running.md; more may be added.",
         examples=["misfit"],
     )
     field: str | None = Field(
@@ -207,14 +202,12 @@ class Image(ImageSize):
         examples=[False],
     )
     warnings: list[ImageWarning] = Field(
-        description="What may impair the result. `crowded`: the photograph shows more people than "
-        "are returned, because there are too many or the time was over; `dark`: the frame is too "
-        "dark to show much; `obstructed`: little is left of the camera's usual view, because the "
-        "camera is covered, out of focus or turned away; `stretched`: a picture of 16 bits a "
-        "channel used only part of its range, which was stretched; `truncated`: the end of a JPEG, "
-        "or part of a TIFF, is missing; `damaged`: the video has lost data of this frame, or of "
-        "one that it is predicted from; `zone_outside`: a zone of the camera lies wholly outside "
-        "the frame. More may be added.",
+        description="What may impair the result. `crowded`: there are more people than are "
+        "returned, too many or for want of time; `dark`: too dark to show much; `obstructed`: the "
+        "camera's usual view is covered, out of focus or turned away; `stretched`: a picture of 16 "
+        "bits a channel used only part of its range; `truncated`: the end of a JPEG, or part of a "
+        "TIFF, is missing; `damaged`: the video has lost data of this frame, or of one that it is "
+        "predicted from; `zone_outside`: a zone lies wholly outside. More may be added.",
         examples=[[]],
     )
 
@@ -262,8 +255,7 @@ class RunLengths(Model):
     """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
 
     counts: str = Field(
-        description="Counts of pixels outside and inside, alternately, down the columns of the "
-        "frame from the left, compressed as pycocotools does.",
+        description="Counts of pixels outside and inside, alternately, down the columns.",
         examples=["l]a76ja000000TZl5"],
     )
     size: list[int] = Field(
@@ -285,8 +277,7 @@ class SilhouetteSummary(Model):
     )
     truncated: bool = Field(
         description="Whether part of the person is missing: the edge of the frame cuts off the "
-        "body (recognised from the silhouette, and from unseen keypoints of head and feet), or a "
-        "nearer person hides it.",
+        "body, or a nearer person hides it.",
         examples=[False],
     )
     rle: RunLengths | None = Field(
@@ -332,8 +323,7 @@ class Facing(Model):
     evidence: FacingSource = Field(
         description="The evidence for it: `image`, the keypoints that the photograph shows; "
         "`motion`, the direction in which a tracked person moves; `none`, the silhouette alone, "
-        "which cannot show it. In a single frame, the probability is the share of the hypotheses' "
-        "confidence that belongs to those facing the camera.",
+        "which cannot show it.",
         examples=["image"],
     )
 
@@ -360,8 +350,7 @@ class MotionSource(Model):
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
     action: str = Field(
-        description="Action that the clip shows there, not the action of the person in the "
-        "photograph, which a single frame cannot show.",
+        description="What the clip shows there; a single frame cannot show what a person does.",
         examples=["walk"],
     )
     mirrored: bool = Field(
@@ -374,11 +363,10 @@ class HypothesisSource(MotionSource):
 
     twin: bool = Field(
         default=False,
-        description="Whether the hypothesis is the twin of the first one: its depths are reversed, "
-        "and left and right are exchanged. An outline cannot distinguish the two, so of a "
-        "silhouette alone the twin is among the first seven, unless another is as near to it as "
-        "a right hypothesis. It does not count for `posture` and `facing`; its `camera`, "
-        "`posture` and distances are those of the first.",
+        description="Whether it is the twin of the first one, which an outline cannot distinguish: "
+        "depths reversed, left and right exchanged. Of a silhouette alone it is among the first "
+        "seven, unless another is as near to it as a right hypothesis. It does not count for "
+        "`posture` and `facing`; its `camera`, `posture` and distances are those of the first.",
         examples=[False],
     )
 
@@ -426,9 +414,8 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="Distance by silhouette and keypoints. It never decreases with the rank: a "
-        "nearer hypothesis that follows a farther one has the distance of the farther one. It "
-        "starts from `silhouette_distance`. Keypoints that support a hypothesis shorten it, and "
+        description="Distance by silhouette and keypoints, which never decreases with the rank. It "
+        "starts from `silhouette_distance`; keypoints that support a hypothesis shorten it, and "
         "keypoints that contradict it lengthen it. Without keypoints (`facing.evidence` is "
         "`none`), it is longer the less likely the re-ranking network finds the joints.",
         examples=[0.031],
@@ -441,18 +428,16 @@ class Hypothesis(Model):
     )
     reprojection_error_px: FiniteFloat = Field(
         ge=0,
-        description="Mean distance, in pixels of the normalised 128x48 frame, between the recorded "
-        "skeleton from which the hypothesis was made, scaled and placed on the person before it "
-        "is fitted, and what was observed: from its joints to the keypoints in the photograph "
-        "or, without these (`facing.evidence` is `none`), between both outlines.",
+        description="Mean distance, in pixels of the normalised 128x48 frame, between the entry's "
+        "skeleton, scaled and placed on the person before it is fitted, and what was observed: "
+        "from its joints to the keypoints or, without these, between both outlines.",
         examples=[1.8],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that the hypothesis is right: that the mean distance "
-        "of its limb joints (shoulders, elbows, wrists, hips, knees, ankles) from the person's "
-        "own, in the image, is under 5 px of the normalised 128x48 frame and, for an alternative "
-        "in depth, that its depths are moreover nearer to the truth than those of the first "
-        "hypothesis. It falls as the reprojection error grows, and never rises with the rank.",
+        description="Calibrated probability that the mean distance of its limb joints (shoulders, "
+        "elbows, wrists, hips, knees, ankles) from the person's own, in the image, is under 5 px "
+        "of the normalised 128x48 frame and, for an alternative in depth, that its depths are "
+        "nearer to the truth than those of the first. It never rises with the rank.",
         examples=[0.87],
     )
     alternative: Literal["depth"] | None = Field(
@@ -469,26 +454,23 @@ class Hypothesis(Model):
     )
     adjusted_mm: FiniteFloat = Field(
         ge=0,
-        description="Mean distance of the joints from those of the entry's own skeleton, in "
-        "millimetres: how far it was moved to fit this person, before it was placed in front of "
-        "the camera. `GET /index/entries/{entry}` has the entry's own.",
+        description="Mean distance, in millimetres, of the joints from those of the entry's own "
+        "skeleton (`GET /index/entries/{entry}`), before it was placed in front of the camera.",
         examples=[41.0],
     )
     posture: PostureName = Field(
         description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
     )
     joints_3d: list[Point3D | None] | None = Field(
-        description="The entry's skeleton fitted to this person, in metres: interpolated between "
-        "near entries, moved to the landmarks in three dimensions and placed on the lines of sight "
-        "of its pixels, in the person's size. Camera axes (x right, y down, z forward) that follow "
-        "from `image.fov_deg`, origin at the pelvis. Null "
-        "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
+        description="The entry's skeleton fitted to this person, in metres and the person's size: "
+        "interpolated between near entries, moved to the landmarks and placed on the lines of "
+        "sight of its pixels. Camera axes (x right, y down, z forward) that follow from "
+        "`image.fov_deg`, origin at the pelvis. Null where the entry lacks one, and as a whole "
+        "with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
     joints_2d: list[Point2D | None] | None = Field(
-        description="The same keypoints in pixels of the frame, placed and scaled on this "
-        "person's silhouette. Null where the entry lacks one, and as a whole with "
-        "`joints=compact` or `none`.",
+        description="The same in pixels of the frame; null as above.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
     joints_3d_flat: Flat3D
@@ -507,9 +489,9 @@ class Person(Model):
         examples=[0.93],
     )
     source: Source = Field(
-        description="What found the person: the service's detector (`GET /index` names it), the "
-        "caller's mask or boxes, or the difference from the background. In camera sessions also "
-        "`track`: the person is predicted there from earlier frames.",
+        description="What found the person: the service's detector, the caller's mask or boxes, or "
+        "the difference from the background; in camera sessions also `track`: the person is "
+        "predicted there from earlier frames.",
         examples=["detector"],
     )
     window_empty: bool = Field(
@@ -522,8 +504,8 @@ class Person(Model):
     )
     observed_keypoints: list[ObservedKeypoint | None] | None = Field(
         description="The 17 COCO keypoints as the photograph shows them, in COCO's order, or all "
-        "33 landmarks with `observed=blazepose33`; null for one with a score below 0.05. Null as a "
-        "whole if none were read, as with `evidence=silhouette` or without a frame."
+        "33 landmarks with `observed=blazepose33`; null for a score below 0.05, and as a whole if "
+        "none were read."
     )
     facing: Facing | None = Field(description="Null without a silhouette.")
     posture: Posture | None = Field(description="Null without a silhouette.")
@@ -581,9 +563,8 @@ class ServiceVersion(Model):
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
     detector: Literal["network", "hog"] = Field(
-        description="Person detector of requests that name no method. `network`: MoveNet's and "
-        "BlazePose's networks, whose detections HOG and an object detector score again; `hog`: "
-        "HOG over many scales, with `POSE_METHOD=paper`.",
+        description="Person detector of requests that name no method; `hog` with "
+        "`POSE_METHOD=paper`.",
         examples=["network"],
     )
 

@@ -3,7 +3,7 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 from app.api.schemas import (
     Duration,
@@ -42,10 +42,9 @@ class TrackUpload(FrameUpload):
 
     track_ids: str | None = Field(
         default=None,
-        description="The caller's own identities of the people in `boxes`, for callers who track "
-        "people themselves: a JSON list of strings or integers, one for each box, such as "
-        '`["17", "18"]`. The reply has them as `caller_track_id`, as strings; the same identity '
-        "means the same person.",
+        description="The caller's own identities of the people in `boxes`: a JSON list of strings "
+        'or integers, one for each box, such as `["17", "18"]`. The reply has them as strings, as '
+        "`caller_track_id`; the same identity means the same person.",
     )
     timestamp: float | None = Field(
         default=None,
@@ -59,6 +58,8 @@ class TrackUpload(FrameUpload):
 
 class _Given(Model):
     """Part of a configuration that a caller sends."""
+
+    model_config = ConfigDict(from_attributes=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -160,8 +161,8 @@ class SmoothedPose(Model):
         examples=[0.91],
     )
     joints_3d: list[Point3D | None] | None = Field(
-        description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
-        "at the pelvis. Null where one is unknown, and as a whole with `joints=compact` or `none`.",
+        description="In metres: camera axes (x right, y down, z forward), origin at the pelvis. "
+        "Null where one is unknown, and as a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
     joints_2d: list[Point2D | None] | None = Field(
@@ -213,8 +214,8 @@ class TrackedPerson(Person):
         examples=["17"],
     )
     still_s: Annotated[FiniteFloat, Field(ge=600), rounding(4)] | None = Field(
-        description="Seconds for which the picture of the person has not changed, from 600 on: a "
-        "statue, a screen, a poster or a sleeping person. Otherwise null.",
+        description="Seconds for which the person has looked the same, from 600 on: a statue, a "
+        "screen, a poster, a sleeper. Otherwise null.",
         examples=[None],
     )
 
@@ -223,9 +224,9 @@ class Event(Model):
     """A change in a track, or in the view of the camera, at one frame."""
 
     event: EventName = Field(
-        description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`: the "
-        "person is in a zone, or no longer; `fell`: the person fell and is down; `lying`, "
-        "`arms_raised`: the posture; `obstructed`: little is left of the camera's usual view.",
+        description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`; "
+        "`fell`: the person fell and is down; `lying`, `arms_raised`: the posture; `obstructed`: "
+        "little is left of the camera's usual view.",
         examples=["fell"],
     )
     track_id: Annotated[int, Field(ge=1)] | None = Field(
@@ -234,8 +235,7 @@ class Event(Model):
     )
     state: EventState = Field(
         description="Whether `lying`, `arms_raised` or `obstructed` began or ended; `instant` for "
-        "all others; `unconfirmed`, only in the last line of a video, for an event that had begun "
-        "to show but was not certain.",
+        "all others; `unconfirmed`, only at the end of a video, if it was not certain yet.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -298,8 +298,8 @@ class CameraState(Model):
         examples=[[]],
     )
     zones_crossing: list[str] = Field(
-        description="Names of the zones whose border crosses itself, for example because the "
-        "corners are in a wrong order; what it surrounds twice lies outside.",
+        description="Names of the zones whose border crosses itself, as with corners in a wrong "
+        "order.",
         examples=[[]],
     )
     fov_deg: FieldOfView | None = Field(
@@ -387,8 +387,7 @@ class TrackSummary(Model):
     )
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
     action: Action | None = Field(
-        description="The action with the largest sum of probabilities, and its mean probability. "
-        "Null if none was recognised."
+        description="The likeliest over all frames, with its mean probability. Null if none."
     )
     postures: list[PostureTime] = Field(description="Ordered by duration, the longest first.")
 
@@ -398,10 +397,10 @@ class SequenceEnd(Model):
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
     reason: VideoEndReason = Field(
-        description="`complete`: the video has ended; `max_frames`: as many frames as requested or "
-        "allowed were processed; `broken`: the rest cannot be read; `timeout`: the video or one of "
-        "its frames took too long; `shutdown`: the service is being stopped; `unavailable`: the "
-        "index cannot be searched; `failed`: an error of the service.",
+        description="`complete`: the video has ended; `max_frames`: no more were requested or "
+        "allowed; `broken`: the rest cannot be read; `timeout`: it took too long; `shutdown`: the "
+        "service is being stopped; `unavailable`: the index cannot be searched; `failed`: an error "
+        "of the service.",
         examples=["complete"],
     )
     detail: str = Field(
@@ -410,8 +409,7 @@ class SequenceEnd(Model):
     frames: int = Field(ge=0, description="Frames processed.", examples=[795])
     damaged: int = Field(
         ge=0,
-        description="How many of them have the warning `damaged`: the video has lost data there, "
-        "and people may be missed or wrongly detected.",
+        description="How many of them have the warning `damaged`.",
         examples=[0],
     )
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")

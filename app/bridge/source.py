@@ -90,10 +90,7 @@ class Source:
             self._number += 1
 
     def _time_of_day(self, moment: float) -> float:
-        """Unix seconds of a moment of the monotonic clock.
-
-        A machine may get the time after it has started, or be suspended.
-        """
+        """Unix seconds of the monotonic clock; a machine may get the time late, or be suspended."""
         clock_s = time.time() - time.monotonic()
         if abs(clock_s - self._clock_s) > _CLOCK_SET_S:
             say(f"the clock of this machine was set by {clock_s - self._clock_s:+.0f} s")

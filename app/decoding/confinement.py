@@ -120,10 +120,7 @@ class Program:
     ) -> tuple[dict[str, Any], NDArray[np.uint8]]:
         """Read what :func:`write_message` wrote, with at most so many bytes of data.
 
-        Raises
-        ------
-        BrokenOffError
-            If it wrote something else, or has ended.
+        Raises BrokenOffError if it wrote something else, or has ended.
         """
         text_bytes, data_bytes = _HEAD.unpack(self._read(_HEAD.size, checkpoint).data)
         try:
@@ -227,12 +224,7 @@ def forbid_system_calls(*, network: bool = False) -> None:
     """Let all system calls of this thread fail that decoding does not need, by seccomp.
 
     Nothing can then be opened, sent, run or forked, and no other process be traced or ended. With
-    ``network``, sockets can be opened, and no files.
-
-    Raises
-    ------
-    OSError
-        If this system cannot do that.
+    ``network``, sockets can be opened, and no files. Raises OSError if this system cannot do that.
     """
     machine = os.uname().machine
     if sys.platform != "linux" or sys.maxsize < 2**32 or machine not in _MACHINES:

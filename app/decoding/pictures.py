@@ -17,17 +17,16 @@ from app.vision.images import ImageError, ImageTooLargeError, turn_of
 
 Decoded = tuple[NDArray[Any], tuple[Any, ...]]
 
-# Processor time for the pictures of one upload. Sound ones of 12 megapixels take up to 1 s; all the
-# while, a small frame may be waiting for the thread.
+# Processor time for the pictures of one upload, while a small frame may be waiting for the thread.
+# Sound ones of 12 megapixels take up to 1 s.
 _MAX_SECONDS = 2.0
-# Processor time of a process, after which another one takes its place.
-_LIFETIME_S = 600
+_LEAST_SECONDS = 0.01  # A timer of 0 s never ends.
+_LIFETIME_S = 600  # Processor time of a process, after which another one takes its place.
 # Address space of a process: 70 MB at rest, of which 26 MB are in memory. A file may be there
 # twice. A transparent WebP takes 28 bytes for each pixel, other files less.
 _BASE_BYTES, _PER_BYTE, _PER_PIXEL = 100 * 1024**2, 2, 32
 _CHECKED_EVERY_S = 0.05
 _BYTES_PER_PIXEL = 3  # Of a photograph; labels have 1 or 2.
-_LEAST_SECONDS = 0.01  # A timer of 0 s never ends.
 
 log = logging.getLogger("app")
 
@@ -67,11 +66,8 @@ class Workers:
 
         ``checkpoint`` is called now and then; it raises an error if the result is not wanted.
 
-        Raises
-        ------
-        ImageTooLargeError, ImageError
-            As :func:`app.vision.images.decode_image` and :func:`app.vision.masks.decode_mask`, and
-            if decoding takes more than the allowance or the memory of a process.
+        Raises as :func:`app.vision.images.decode_image` and :func:`app.vision.masks.decode_mask`,
+        and ImageError if it takes more than the allowance or the memory of a process.
         """
         while True:
             try:

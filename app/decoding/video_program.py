@@ -81,17 +81,10 @@ def write_frames(
 
 
 def reachable(address: str, timeout_s: float) -> tuple[str, dict[str, str]]:
-    """Return an address by the number of its host, and FFmpeg's options for it.
+    """Return an address by the number at which its host answers, and FFmpeg's options for it.
 
-    A process that can open no file cannot look up a name. The number is one at which the host
-    answers. Addresses of other kinds are returned as they are.
-
-    Raises
-    ------
-    OSError
-        If the host is not known or does not answer.
-    ValueError
-        If this is no address.
+    A process that can open no file cannot look up a name. Addresses of other kinds stay as they
+    are. Raises OSError if the host does not answer, ValueError if this is no address.
     """
     parts = urlsplit(address)
     if parts.scheme not in _PORTS or not parts.hostname:

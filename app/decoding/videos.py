@@ -65,13 +65,7 @@ class Decoder:
             self._program = Program("video_program", *options, source=source)
 
     def frames(self) -> Iterator[Frame]:
-        """Yield the frames.
-
-        Raises
-        ------
-        VideoError
-            If the video, or the rest of it, cannot be used.
-        """
+        """Yield the frames; raises VideoError if the video, or the rest, cannot be used."""
         expected = f"a video ({_FORMATS})"
         try:
             while (frame := self._next()) is not None:
@@ -124,11 +118,7 @@ def _frame(fields: dict[str, Any], data: NDArray[np.uint8]) -> Frame:
 
 
 def new_file() -> IO[bytes]:
-    """Make a file without a name for an upload, which cannot be left behind.
-
-    It is in memory, since a video should not touch a disk, or on disk if the platform has no such
-    files.
-    """
+    """Make a file without a name, in memory if there is such: no video should touch a disk."""
     if sys.platform == "linux":
         return os.fdopen(os.memfd_create("video"), "w+b")
     return tempfile.TemporaryFile()
@@ -138,10 +128,7 @@ def new_file() -> IO[bytes]:
 async def open_video(
     file: IO[bytes], stride: int, max_pixels: int, max_seconds: float
 ) -> AsyncIterator[NextFrame]:
-    """Decode every ``stride``-th frame of a video in a process that ends with the context.
-
-    A frame may have up to ``max_pixels``; decoding may take ``max_seconds`` of processor time.
-    """
+    """Decode every ``stride``-th frame of a video in a process that ends with the context."""
     file.flush()
     file.seek(0)
     decoder = Decoder(file, stride=stride, max_pixels=max_pixels, max_seconds=max_seconds)

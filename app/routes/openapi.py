@@ -46,9 +46,8 @@ HEADERS: dict[str, Any] = {
 def add_openapi(app: FastAPI) -> None:
     """Make ``app`` describe its errors, and its uploads so that generated clients work.
 
-    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would also promise
-    ``application/json``. Routes that take images refer to their forms by name because they parse
-    them themselves.
+    Routes refer to these by name: of a declared error, FastAPI would also promise
+    ``application/json``, and forms are parsed by the routes themselves.
     """
     generate = app.openapi
 

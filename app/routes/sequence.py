@@ -4,8 +4,7 @@ import asyncio
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
-from dataclasses import dataclass
-from typing import IO, Annotated
+from typing import IO, Annotated, NamedTuple
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
@@ -63,12 +62,11 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
         yield file
 
 
-@dataclass(frozen=True)
-class _OpenVideo:
+class _OpenVideo(NamedTuple):
     """A video whose first frame could be read."""
 
-    next_frame: NextFrame
     first: Frame
+    next_frame: NextFrame
 
 
 async def _open(
@@ -86,7 +84,7 @@ async def _open(
             ) as next_frame:
                 first = await next_frame()
                 assert first is not None
-                yield _OpenVideo(next_frame, first)
+                yield _OpenVideo(first, next_frame)
 
 
 @router.post(
@@ -148,7 +146,7 @@ async def analyse_sequence(
         return request_state(request.scope).is_ending
 
     async def lines() -> AsyncIterator[bytes]:
-        async with aclosing(run.lines(video.first, video.next_frame, write, is_ending)) as frames:
+        async with aclosing(run.lines(*video, write, is_ending)) as frames:
             async for line in frames:
                 yield line
         yield _line(_end_of(run))

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from app.bridge import bridge as bridge_module
 from app.bridge import common as common_module
 from app.bridge import source as source_module
-from app.bridge.command import run
+from app.bridge.__main__ import run
 from app.bridge.outbox import Outbox
 from app.decoding import Frame
 from app.decoding.videos import VideoError
