@@ -420,3 +420,10 @@ class SequenceEnd(Model):
 
 
 SequenceLine = SequenceFrame | SequenceEnd
+
+
+class SequenceResponse(Model):
+    """A video's reply as one document."""
+
+    frames: list[SequenceFrame] = Field(description="In order.")
+    end: SequenceEnd

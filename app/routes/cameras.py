@@ -24,7 +24,7 @@ from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
-from app.routes.openapi import documented
+from app.routes.openapi import documented, documented_json
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
@@ -193,9 +193,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {
-                "application/json": {"schema": {"$ref": "#/components/schemas/CameraConfiguration"}}
-            },
+            "content": documented_json(CameraConfiguration),
         }
     },
 )

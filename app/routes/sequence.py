@@ -12,7 +12,13 @@ from starlette.datastructures import UploadFile
 from starlette.types import Receive, Scope, Send
 
 from app.api.replies import tracked_fields
-from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceLine, VideoUpload
+from app.api.tracking_schemas import (
+    SequenceEnd,
+    SequenceFrame,
+    SequenceLine,
+    SequenceResponse,
+    VideoUpload,
+)
 from app.camera import CameraSession
 from app.decoding import Frame
 from app.decoding.videos import NextFrame, new_file, open_video
@@ -20,7 +26,7 @@ from app.film import VideoRun
 from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
-from app.routes.openapi import BINARY, documented, documented_form
+from app.routes.openapi import BINARY, documented, documented_form, documented_json
 from app.routes.queries import GivenOnce, SequenceQuery, estimator_for, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
@@ -95,9 +101,10 @@ async def _open(
     responses={
         200: {
             "description": "A line of JSON for each frame as soon as it is done, and a last line "
-            "of type `end`; its type is always `application/x-ndjson`.",
+            "of type `end`, as `application/x-ndjson`; with `Accept: application/json`, the same "
+            "as one document.",
             "model": SequenceLine,
-            "content": {**BINARY},
+            "content": {**BINARY, **documented_json(SequenceResponse)},
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
@@ -116,8 +123,9 @@ async def analyse_sequence(
 
     The reply comes line by line while the video is processed: one line of type `frame` for each
     frame, like the reply of `/cameras/{camera_id}/frames`, and a last line of type `end` with
-    tracks, events and the reason why the reply ends there. Live frames of cameras take their turn
-    in between.
+    tracks, events and the reason why the reply ends there. With `Accept: application/json`, and no
+    other type in it, the reply is one document of both. Live frames of cameras take their turn in
+    between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
@@ -140,18 +148,27 @@ async def analyse_sequence(
         metrics.observe_stages(tracked.timings_ms)
         metrics.observe_persons(tracked.persons)
         fields = tracked_fields(tracked, estimator.index, query.form)
-        return _line(SequenceFrame(type="frame", video_frame=number, **fields))
+        frame = SequenceFrame(type="frame", video_frame=number, **fields)
+        return frame.model_dump_json().encode()
 
     def is_ending() -> bool:
         return request_state(request.scope).is_ending
 
-    async def lines() -> AsyncIterator[bytes]:
+    is_document = request.headers.get("accept") == "application/json"
+
+    async def parts() -> AsyncIterator[bytes]:
+        # A document is written while it grows: none is kept in memory.
+        before, after, between = (b"", b"", b",") if is_document else (b"", b"\n", b"")
+        if is_document:
+            yield b'{"frames":['
         async with aclosing(run.lines(*video, write, is_ending)) as frames:
             async for line in frames:
-                yield line
-        yield _line(_end_of(run))
+                yield before + line + after
+                before = between
+        end = _end_of(run).model_dump_json().encode()
+        yield b'],"end":' + end + b"}" if is_document else end + after
 
-    return LineStream(lines())
+    return LineStream(parts(), media_type="application/json" if is_document else None)
 
 
 def _end_of(run: VideoRun) -> SequenceEnd:
@@ -168,7 +185,3 @@ def _end_of(run: VideoRun) -> SequenceEnd:
             "events": summary.events,
         }
     )
-
-
-def _line(reply: SequenceLine) -> bytes:
-    return reply.model_dump_json().encode() + b"\n"
