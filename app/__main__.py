@@ -14,13 +14,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-# NumPy and OpenCV read these when they are imported. Frames are worked on in parallel; threads
-# within NumPy would only compete for the same cores.
+# NumPy and OpenCV read these when they are imported: frames are worked on in parallel already, a
+# broken image is answered with a 400, and a decoder may disagree with the header that was checked.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# A broken image is answered with a 400; OpenCV's own messages would fill the log.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")
-# A second line of defence behind the size check of `app.vision.images`, for images whose decoder
-# disagrees with their header.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))
 
 from app import VERSION
@@ -93,14 +90,9 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
 
 
 def check_address(host: str, port: int) -> None:
-    """Make sure that the service can listen on an address.
+    """Raise SettingsError unless the service can listen on an address.
 
-    uvicorn would report a failure only in its log, after everything else has been loaded.
-
-    Raises
-    ------
-    SettingsError
-        If the address does not belong to this machine, or the port is taken or forbidden.
+    uvicorn would report that only in its log, after everything else has been loaded.
     """
     try:
         addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)

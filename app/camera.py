@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.decoding import MIN_STEP_S
 from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
@@ -20,7 +21,6 @@ from app.tracking.results import Event, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
 from app.tracking.view import View
 from app.tracking.zones import Zone, is_outside
-from app.video import MIN_STEP_S
 from app.vision.appearance import Patch, colours_of
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera

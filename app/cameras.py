@@ -16,8 +16,7 @@ from app.tracking.results import EVENT_NAMES, Event, EventName, TrackedFrame
 from app.tracking.zones import Zone
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 
-KEPT_EVENTS = 100
-"""Events kept for each camera."""
+KEPT_EVENTS = 100  # For each camera.
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, by one of the limits, or because the index was replaced."""
@@ -43,21 +42,31 @@ class NoSessionsError(ValueError):
     """The service keeps no camera sessions."""
 
 
+class UnknownCameraError(KeyError):
+    """A camera has neither a session nor settings; the argument is its name."""
+
+
 class TooManyCamerasError(ValueError):
     """A caller has configured as many cameras as allowed, all of which have sent frames."""
 
 
+class ImageSize(NamedTuple):
+    """Columns and rows of a frame."""
+
+    width: int
+    height: int
+
+
 @dataclass(frozen=True)
 class SessionSummary:
-    """A camera session at a glance: its last frame, in pixels and seconds, and its people.
+    """A camera session at a glance: its last frame, in seconds, and its people.
 
     ``age_s`` and ``idle_s`` are the seconds since the first and since the last frame came.
     """
 
     frames: int
     timestamp: float
-    width: int
-    height: int
+    image: ImageSize
     track_ids: tuple[int, ...]
     age_s: float
     idle_s: float
@@ -79,6 +88,21 @@ class CameraSettings:
 
 
 _NO_SETTINGS = CameraSettings()
+
+
+class Wanted(NamedTuple):
+    """Hypotheses of each person, and what they are estimated from."""
+
+    n: int
+    evidence: Evidence = "photograph"
+
+
+class SessionLimits(NamedTuple):
+    """Most sessions, their longest time without a frame, and most memory of all together."""
+
+    sessions: int
+    idle_s: float
+    memory_bytes: int
 
 
 @dataclass(frozen=True)
@@ -108,8 +132,7 @@ class _OpenSession:
         self._newest = SessionSummary(
             frames=frame.frame_index + 1,
             timestamp=frame.timestamp,
-            width=width,
-            height=height,
+            image=ImageSize(width, height),
             track_ids=tuple(person.track_id for person in frame.persons),
             age_s=now - self._first,
             idle_s=0.0,
@@ -128,31 +151,22 @@ class CameraSessions:
     the last used one even if it alone exceeds the memory. Settings outlive a session that ends by a
     limit, until they are replaced or the camera is forgotten.
 
-    Limits are for all callers together, but each may configure ``max_sessions`` cameras. The
-    settings ``configured`` by name apply to all callers until one sets its own. ``on_end`` is
-    called with the reason.
+    Limits are for all callers together, but each may configure as many cameras. The settings
+    ``configured`` by name apply to all callers until one sets its own. ``on_change`` is called when
+    a session has begun, with None, or ended.
     """
 
     def __init__(
         self,
         create: Callable[[Estimator], CameraSession],
-        *,
-        max_sessions: int,
-        idle_s: float,
-        max_memory_bytes: int,
-        configured: Mapping[str, CameraSettings] | None = None,
-        on_begin: Callable[[], None] = lambda: None,
-        on_end: Callable[[EndReason], None] = lambda reason: None,
+        limits: SessionLimits,
+        configured: Mapping[str, CameraSettings],
+        on_change: Callable[[EndReason | None], None] = lambda reason: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._create = create
-        self._max_sessions = max_sessions
-        self._idle_s = idle_s
-        self._max_memory_bytes = max_memory_bytes
-        self._on_begin, self._on_end = on_begin, on_end
-        self._clock = clock
+        self._create, self._limits, self._configured = create, limits, configured
+        self._on_change, self._clock = on_change, clock
         self._open: dict[CameraKey, _OpenSession] = {}
-        self._configured = configured or {}
         self._settings: dict[CameraKey, CameraSettings] = {}
         self._events: dict[CameraKey, deque[Event]] = {}
         self._lock = threading.Lock()
@@ -171,21 +185,16 @@ class CameraSessions:
         estimator: Estimator,
         upload: Upload,
         timestamp: float | None,
-        n: int,
         job: Job,
-        evidence: Evidence = "photograph",
+        wanted: Wanted,
     ) -> TrackedFrame:
         """Process the next frame of a camera; its session begins if there is none.
 
         Only a usable frame begins a session, so an unusable one displaces none. Frames of one
         camera must not be processed at the same time, which
         :meth:`app.scheduling.executor.Executor.run` prevents. A session that was begun with
-        another estimator ends: its tracks hold poses of another index.
-
-        Raises
-        ------
-        UploadError, LateFrameError
-            See :meth:`app.camera.CameraSession.process`.
+        another estimator ends: its tracks hold poses of another index. Raises as
+        :meth:`app.camera.CameraSession.process` does.
         """
         with self._lock:
             self._end_idle()
@@ -201,7 +210,7 @@ class CameraSessions:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
             frame = opened.session.process(
-                settings.of(upload), timestamp, n, job, evidence, settings.zones
+                settings.of(upload), timestamp, wanted.n, job, wanted.evidence, settings.zones
             )
             raised = tuple(one for one in frame.events if one.event in settings.events)
             frame = replace(frame, events=raised)
@@ -209,7 +218,7 @@ class CameraSessions:
                 opened.note(frame, self._clock())
                 if begins:
                     self._open[key] = opened
-                    self._on_begin()
+                    self._on_change(None)
                 # Unless the camera was forgotten meanwhile.
                 if self._open.get(key) is opened:
                     self._events.setdefault(key, deque(maxlen=KEPT_EVENTS)).extend(frame.events)
@@ -220,33 +229,26 @@ class CameraSessions:
 
     def check_kept(self) -> None:
         """Raise NoSessionsError if there may be no sessions."""
-        if not self._max_sessions:
+        if not self._limits.sessions:
             raise NoSessionsError("this service keeps no camera sessions")
 
     def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
         """Set zones, optics and events of a camera, from its next frame on.
 
         If the caller has settings for as many other cameras as there may be sessions, the one that
-        was configured longest ago of those that have sent no frame is forgotten.
-
-        Raises
-        ------
-        TooManyCamerasError
-            If all of them have sent frames.
-        NoSessionsError
-            If there may be no sessions.
+        was configured longest ago of those that have sent no frame is forgotten; if all of them
+        have, TooManyCamerasError is raised. Raises as `check_kept` does, too.
         """
         self.check_kept()
         with self._lock:
             others = [k for k in self._settings if k.caller == key.caller and k != key]
             matters = settings != _NO_SETTINGS or key.camera_id in self._configured
-            if matters and len(others) >= self._max_sessions:
+            if matters and len(others) >= self._limits.sessions:
                 unused = next((k for k in others if k not in self._events), None)
                 if unused is None:
-                    raise TooManyCamerasError(
-                        f"expected at most {self._max_sessions} cameras with zones or optics, got "
-                        "one more; forget one first"
-                    )
+                    most = f"{self._limits.sessions} cameras with zones or optics"
+                    sentence = f"expected at most {most}, got one more; forget one first"
+                    raise TooManyCamerasError(sentence)
                 del self._settings[unused]
             self._settings.pop(key, None)  # So that the newest is the last.
             if matters:
@@ -263,16 +265,14 @@ class CameraSessions:
             return [self._summary(key) for key in sorted(known) if key.caller == caller]
 
     def summary(self, key: CameraKey) -> CameraSummary:
-        """Return the summary of a camera; raises KeyError if it has no session and no settings."""
+        """Return the summary of a camera; raises UnknownCameraError if there is none."""
         with self._lock:
-            self._end_idle()
             self._check_known(key)
             return self._summary(key)
 
     def events(self, key: CameraKey) -> tuple[Event, ...]:
-        """Return the latest events of a camera, oldest first; raises KeyError like `summary`."""
+        """Return the latest events of a camera, oldest first; raises as `summary` does."""
         with self._lock:
-            self._end_idle()
             self._check_known(key)
             return tuple(self._events.get(key, ()))
 
@@ -295,11 +295,10 @@ class CameraSessions:
     def forget(self, key: CameraKey) -> None:
         """Forget a camera's session, its events and the caller's settings.
 
-        Raises KeyError like `summary`. Settings given at startup apply again. A frame already being
+        Raises as `summary` does. Settings given at startup apply again. A frame already being
         processed is completed.
         """
         with self._lock:
-            self._end_idle()
             self._check_known(key)
             self._settings.pop(key, None)
             self._events.pop(key, None)
@@ -319,8 +318,9 @@ class CameraSessions:
             self._end_idle()
 
     def _check_known(self, key: CameraKey) -> None:
+        self._end_idle()
         if not self._is_known(key):
-            raise KeyError(key)
+            raise UnknownCameraError(key.camera_id)
 
     def _is_known(self, key: CameraKey) -> bool:
         return key in self._open or key in self._settings or key.camera_id in self._configured
@@ -340,19 +340,20 @@ class CameraSessions:
         return CameraSummary(key.camera_id, self._settings_of(key), session)
 
     def _end_idle(self) -> None:
-        since = self._clock() - self._idle_s
+        since = self._clock() - self._limits.idle_s
         for key, opened in list(self._open.items()):
             if opened.last < since and not opened.busy:
                 self._end(key, "idle")
 
     def _shrink(self) -> None:
         """End sessions until the limits hold or all others are busy."""
-        while len(self._open) > self._max_sessions and self._end_oldest("number"):
+        while len(self._open) > self._limits.sessions and self._end_oldest("number"):
             pass
-        while sum(
-            opened.memory_bytes for opened in self._open.values()
-        ) > self._max_memory_bytes and self._end_oldest("memory"):
+        while self._memory_bytes() > self._limits.memory_bytes and self._end_oldest("memory"):
             pass
+
+    def _memory_bytes(self) -> int:
+        return sum(opened.memory_bytes for opened in self._open.values())
 
     def _end_oldest(self, reason: EndReason) -> bool:
         idle = {key: opened for key, opened in self._open.items() if not opened.busy}
@@ -365,4 +366,4 @@ class CameraSessions:
     def _end(self, key: CameraKey, reason: EndReason) -> None:
         del self._open[key]
         self._drop_events()
-        self._on_end(reason)
+        self._on_change(reason)

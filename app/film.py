@@ -4,9 +4,11 @@ import asyncio
 import logging
 from collections.abc import AsyncGenerator, Callable, Hashable
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from app.camera import CameraSession
+from app.decoding import Frame
+from app.decoding.videos import NextFrame, VideoError
 from app.estimation.posture import PostureLabel
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload, UploadError
@@ -15,8 +17,6 @@ from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError, Job
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.video import Frame
-from app.video.reader import VideoError, VideoReader
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 from index.search import SearchUnavailableError
 
@@ -36,125 +36,6 @@ class VideoEnd:
 
 
 _SHUTDOWN = VideoEnd("shutdown", "the service is being stopped")
-
-
-class VideoRun:
-    """Tracks the people of a video.
-
-    Parameters
-    ----------
-    session : CameraSession
-        A new one.
-    executor : Executor
-        Where frames are processed, in turn with those of other callers.
-    caller, kind
-        As in :meth:`app.scheduling.executor.Executor.run`.
-    n, evidence
-        As in :meth:`app.camera.CameraSession.process`.
-    optics : Optics
-        Of the camera; by default, the video's own pixel aspect is used.
-    max_frames : int
-        Most frames that are processed.
-    timeout_s : float
-        Longest time for all of them, from now on, seconds.
-    """
-
-    def __init__(
-        self,
-        session: CameraSession,
-        executor: Executor,
-        caller: Hashable,
-        *,
-        kind: str,
-        n: int,
-        evidence: Evidence,
-        max_frames: int,
-        timeout_s: float,
-        optics: Optics = UNKNOWN_OPTICS,
-    ) -> None:
-        self._session, self._executor = session, executor
-        self._caller, self._kind = caller, kind
-        self._n, self._evidence = n, evidence
-        self._optics = optics
-        self._max_frames = max_frames
-        self._timeout_s = timeout_s
-        self._deadline = asyncio.get_running_loop().time() + timeout_s
-        self.summary = VideoSummary()
-        """Summary of the frames processed so far."""
-        self.end: VideoEnd | None = None
-        """None until there are no more frames."""
-
-    async def lines(
-        self,
-        first: Frame,
-        reader: VideoReader,
-        write: Callable[[TrackedFrame, int], bytes],
-        is_ending: Callable[[], bool],
-    ) -> AsyncGenerator[bytes, None]:
-        """Yield a line for each frame; afterwards, :attr:`end` says why there are no more.
-
-        The first frame has been read already. ``write`` makes the line of a frame and its number in
-        the video, on the executor's thread; ``is_ending`` says whether the service is being
-        stopped.
-        """
-        frame: Frame | None = first
-        try:
-            while frame is not None:
-                if is_ending():
-                    end = _SHUTDOWN
-                    break
-                if self.summary.frames == self._max_frames:
-                    end = VideoEnd("max_frames", f"there are more than {self._max_frames} frames")
-                    break
-                async with asyncio.timeout_at(self._deadline):
-                    line = await self._process(frame, write)
-                yield line
-                async with asyncio.timeout_at(self._deadline):
-                    frame = await reader.next()
-            else:
-                detail = f"the video ended after {self.summary.frames} frames"
-                if self.summary.damaged:
-                    detail += f", {self.summary.damaged} of them damaged"
-                end = VideoEnd("complete", detail)
-        except TimeoutError:
-            end = VideoEnd("timeout", f"the video took longer than {self._timeout_s:g} seconds")
-        except DeadlineError as error:
-            end = VideoEnd("timeout", str(error))
-        except (VideoError, UploadError) as error:
-            end = VideoEnd("broken", str(error))
-        except SearchUnavailableError:
-            end = VideoEnd("unavailable", SEARCH_FAILED)
-        except (ShutdownError, ClientGoneError):
-            # The client is still connected, or this would have been cancelled, so the executor is
-            # shutting down.
-            end = _SHUTDOWN
-        except Exception:
-            log.exception("a video failed")
-            end = VideoEnd("failed", "an error of the service; its log says more")
-        self.summary.events += self._session.unconfirmed()
-        self.end = end
-
-    async def _process(self, frame: Frame, write: Callable[[TrackedFrame, int], bytes]) -> bytes:
-        """Process a frame once it is its turn, and return its line."""
-
-        def work(job: Job) -> tuple[TrackedFrame, bytes]:
-            own = Optics(pixel_aspect=frame.pixel_aspect)
-            upload = Upload(frame.pixels, optics=self._optics.or_else(own))
-            tracked = self._session.process(upload, frame.timestamp, self._n, job, self._evidence)
-            if frame.damaged:
-                tracked = replace(tracked, warnings=(*tracked.warnings, "damaged"))
-            return tracked, write(tracked, frame.number)
-
-        tracked, line = await self._executor.run(
-            work, _until_cancelled, caller=self._caller, kind=self._kind, unbounded_wait=True
-        )
-        self.summary.add(tracked)
-        return line
-
-
-async def _until_cancelled() -> None:
-    """Wait: if the client hangs up, the whole answer is cancelled."""
-    await asyncio.Event().wait()
 
 
 class VideoSummary:
@@ -177,6 +58,13 @@ class VideoSummary:
                 tracked.track_id, TrackSummary(tracked.track_id, frame.timestamp, frame.timestamp)
             )
             track.add(tracked, frame.timestamp)
+
+
+class PostureTime(NamedTuple):
+    """How long a person was in a posture."""
+
+    label: PostureLabel
+    seconds: float
 
 
 MAX_GAP_S = 2.0
@@ -212,13 +100,113 @@ class TrackSummary:
         self.last_timestamp = timestamp
         self.frames += 1
 
-    def postures(self) -> list[tuple[PostureLabel, float]]:
-        """Return each posture and its seconds, the longest first."""
-        return sorted(self._posture_s.items(), key=lambda item: -item[1])
+    @property
+    def postures(self) -> list[PostureTime]:
+        """Each posture and its seconds, the longest first."""
+        times = [PostureTime(label, seconds) for label, seconds in self._posture_s.items()]
+        return sorted(times, key=lambda time: -time.seconds)
 
+    @property
     def action(self) -> RecognisedAction | None:
-        """Return the action with the largest sum of probabilities, and its mean probability."""
+        """The action with the largest sum of probabilities, and its mean probability."""
         if not self._actions:
             return None
         label = max(self._actions, key=lambda name: self._actions[name])
         return RecognisedAction(label, self._actions[label] / self._frames_with_action)
+
+
+@dataclass(kw_only=True)
+class VideoRun:
+    """Tracks the people of a video, in a new session, in turn with the frames of other callers.
+
+    ``caller`` and ``kind`` are as in :meth:`app.scheduling.executor.Executor.run`, ``n`` and
+    ``evidence`` as in :meth:`app.camera.CameraSession.process`. At most ``max_frames`` are
+    processed, for ``timeout_s`` from now on. Without optics, the video's own pixel aspect is used.
+
+    ``summary`` is that of the frames so far; ``end`` is None until there are no more.
+    """
+
+    session: CameraSession
+    executor: Executor
+    caller: Hashable
+    kind: str
+    n: int
+    evidence: Evidence
+    max_frames: int
+    timeout_s: float
+    optics: Optics = UNKNOWN_OPTICS
+    summary: VideoSummary = field(default_factory=VideoSummary, init=False)
+    end: VideoEnd | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self._deadline = asyncio.get_running_loop().time() + self.timeout_s
+
+    async def lines(
+        self,
+        first: Frame,
+        next_frame: NextFrame,
+        write: Callable[[TrackedFrame, int], bytes],
+        is_ending: Callable[[], bool],
+    ) -> AsyncGenerator[bytes, None]:
+        """Yield a line for each frame; afterwards, :attr:`end` says why there are no more.
+
+        The first frame has been read already. ``write`` makes the line of a frame and its number in
+        the video, on the executor's thread; ``is_ending`` says whether the service is being
+        stopped.
+        """
+        frame: Frame | None = first
+        try:
+            while frame is not None:
+                if is_ending():
+                    end = _SHUTDOWN
+                    break
+                if self.summary.frames == self.max_frames:
+                    end = VideoEnd("max_frames", f"there are more than {self.max_frames} frames")
+                    break
+                async with asyncio.timeout_at(self._deadline):
+                    line = await self._process(frame, write)
+                yield line
+                async with asyncio.timeout_at(self._deadline):
+                    frame = await next_frame()
+            else:
+                detail = f"the video ended after {self.summary.frames} frames"
+                if self.summary.damaged:
+                    detail += f", {self.summary.damaged} of them damaged"
+                end = VideoEnd("complete", detail)
+        except (TimeoutError, DeadlineError) as error:
+            late = f"the video took longer than {self.timeout_s:g} seconds"
+            end = VideoEnd("timeout", str(error) or late)
+        except (VideoError, UploadError) as error:
+            end = VideoEnd("broken", str(error))
+        except SearchUnavailableError:
+            end = VideoEnd("unavailable", SEARCH_FAILED)
+        except (ShutdownError, ClientGoneError):
+            # If the client had gone, this would have been cancelled: the executor shuts down.
+            end = _SHUTDOWN
+        except Exception:
+            log.exception("a video failed")
+            end = VideoEnd("failed", "an error of the service; its log says more")
+        self.summary.events += self.session.unconfirmed()
+        self.end = end
+
+    async def _process(self, frame: Frame, write: Callable[[TrackedFrame, int], bytes]) -> bytes:
+        """Process a frame once it is its turn, and return its line."""
+
+        def work(job: Job) -> tuple[TrackedFrame, bytes]:
+            own = Optics(pixel_aspect=frame.pixel_aspect)
+            upload = Upload(frame.pixels, optics=self.optics.or_else(own))
+            tracked = self.session.process(upload, frame.timestamp, self.n, job, self.evidence)
+            if frame.damaged:
+                tracked = replace(tracked, warnings=(*tracked.warnings, "damaged"))
+            return tracked, write(tracked, frame.number)
+
+        tracked, line = await self.executor.run(
+            work, _until_cancelled, caller=self.caller, kind=self.kind, unbounded_wait=True
+        )
+        self.summary.add(tracked)
+        return line
+
+
+async def _until_cancelled() -> None:
+    """Wait: if the client hangs up, the whole answer is cancelled."""
+    await asyncio.Event().wait()

@@ -12,14 +12,14 @@ from starlette.types import Scope
 
 from app import VERSION
 from app.camera import CameraSession
-from app.cameras import CameraSessions
-from app.decoding.workers import Workers
+from app.cameras import CameraSessions, SessionLimits
+from app.decoding.pictures import Workers
 from app.http.access_log import AccessLogMiddleware
 from app.http.admission import AdmissionMiddleware, UploadLimits
 from app.http.errors import register_error_handlers
-from app.http.identity import CAMERA_HEADER, Identity, IdentityMiddleware
+from app.http.identity import CAMERA_HEADER, Identity
 from app.http.metrics import Metrics
-from app.http.routing import HeadMiddleware, RouteTable
+from app.http.routing import RouteTable, answering_head
 from app.photograph import Estimator
 from app.routes import cameras, deepstack, index, pose, sequence, system
 from app.routes.cameras import SESSION_HEADER
@@ -31,17 +31,11 @@ from app.settings import Settings, read_settings
 from app.vision.images import configure_pillow
 from index.store import PoseIndex
 
-# Compressing a smaller answer saves less than a packet.
-GZIP_FROM_BYTES = 1400
-# This level shrinks an answer with seven hypotheses to a quarter in half a millisecond; higher
-# levels take longer.
-GZIP_LEVEL = 1
-
-# The largest configuration of a camera that is accepted has 57 kB.
-MAX_JSON_BYTES = 256_000
-# Frames of 4 MB from 32 cameras at once.
-HELD_FRAMES_BYTES = 128 * 1024**2
-
+# Compressing a smaller answer saves less than a packet; an answer with seven hypotheses shrinks to
+# a quarter in half a millisecond, and a higher level takes longer.
+GZIP_FROM_BYTES, GZIP_LEVEL = 1400, 1
+MAX_JSON_BYTES = 256_000  # The largest configuration of a camera that is accepted has 57 kB.
+HELD_FRAMES_BYTES = 128 * 1024**2  # Frames of 4 MB from 32 cameras at once.
 _SWEEP_EVERY_S = 10.0
 
 DESCRIPTION = """
@@ -64,27 +58,16 @@ def create_app(
 ) -> FastAPI:
     """Assemble the service.
 
-    Parameters
-    ----------
-    settings : Settings, optional
-        Read from the environment by default.
-    estimator : Estimator, optional
-        By default it is loaded while the service already answers probes.
-    read_index : function, optional
-        Where the estimator is to have its index from, instead of the folder in the settings.
+    By default, settings are read from the environment, and the estimator is loaded while the
+    service already answers probes; ``read_index`` returns its index instead of their folder.
     """
     settings = settings or read_settings()
     executor = Executor(settings.concurrency, settings.max_wait_s, settings.request_timeout_s)
     metrics = Metrics(settings.request_timeout_s)
-    sessions = CameraSessions(
-        CameraSession,
-        max_sessions=settings.max_cameras,
-        idle_s=settings.camera_idle_s,
-        max_memory_bytes=settings.camera_memory_mb * 1024**2,
-        configured=read_cameras(settings.cameras_file),
-        on_begin=metrics.sessions_started.inc,
-        on_end=lambda reason: metrics.sessions_ended.labels(reason).inc(),
-    )
+    memory_bytes = settings.camera_memory_mb * 1024**2
+    limits = SessionLimits(settings.max_cameras, settings.camera_idle_s, memory_bytes)
+    configured = read_cameras(settings.cameras_file)
+    sessions = CameraSessions(CameraSession, limits, configured, metrics.observe_session)
     workers = Workers(settings.concurrency, settings.max_upload_bytes, settings.max_pixels)
     runtime = Runtime(settings, executor, workers, metrics, sessions)
     metrics.sessions.set_function(lambda: len(sessions))
@@ -123,7 +106,7 @@ def create_app(
         redoc_url=None,
         redirect_slashes=False,  # app/http/access_log.py drops the slash instead.
     )
-    app.state.runtime = runtime
+    app.state.runtime, app.state.api_keys = runtime, settings.api_keys
     routers = [module.router for module in (pose, cameras, sequence, index, deepstack, system)]
     for router in routers:
         app.include_router(router)
@@ -179,8 +162,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
             allow_headers=["X-API-Key", "Authorization", "X-Request-ID", CAMERA_HEADER],
             expose_headers=["Retry-After", "X-Request-ID", SESSION_HEADER],
         )
-    app.add_middleware(HeadMiddleware)
-    app.add_middleware(IdentityMiddleware, api_keys=settings.api_keys)
+    app.add_middleware(answering_head)
     # This middleware is the outermost, so that it also sees refused requests.
     app.add_middleware(
         AccessLogMiddleware,
@@ -195,6 +177,6 @@ async def _tidy_up(runtime: Runtime) -> None:
     while True:
         await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
         runtime.sessions.end_idle()
-        # Frames leave 30 MB. The next one needs a part again, and it takes as long as a tenth of
-        # its work to get that back from the system: too long after every frame.
+        # Frames leave 30 MB, of which the next one needs a part: getting that back from the system
+        # takes as long as a tenth of its work, too long after every frame.
         runtime.executor.submit(trim_heap)

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from app.decoding.workers import Workers
+from app.decoding.pictures import Workers
 from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons

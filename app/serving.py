@@ -20,7 +20,7 @@ from app import VERSION
 from app.api.replies import settings_from
 from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
-from app.decoding.workers import Workers
+from app.decoding.pictures import Workers
 from app.http.errors import overloaded
 from app.http.identity import CAMERA_PATTERN, Caller, identity_of
 from app.http.metrics import Metrics
@@ -52,7 +52,6 @@ _SEQUENCE_RETRY_S = 10
 class Runtime:
     """State of an application.
 
-    All work on images is the executor's; ``workers`` decode those that may be expensive.
     ``sequences`` has the callers of the videos that are worked on. Until the index is loaded,
     ``estimator`` is None, ``not_ready_because`` tells the operator why, and ``loading`` is whether
     loading goes on or will be tried again.
@@ -77,18 +76,17 @@ class Runtime:
         return self.estimator
 
     def check_sequence(self, caller: Caller) -> None:
-        """Raise a 503 if no further video of this caller may be worked on.
-
-        One caller leaves a place to others, for as long as a video may take.
-        """
-        most, retry_s = self.settings.max_sequences, _SEQUENCE_RETRY_S
+        """Raise a 503 if no further video of this caller, who leaves others a place, is taken."""
+        most = self.settings.max_sequences
         own = max(1, most - 1)
         if len(self.sequences) >= most:
-            sentence = f"expected at most {most} videos at once; try again later"
-            raise overloaded(sentence, "too_many_sequences", retry_s)
-        if self.sequences.count(caller) >= own:
-            sentence = f"expected at most {own} of one caller's videos at once; try again later"
-            raise overloaded(sentence, "too_many_sequences", retry_s)
+            allowed = f"{most} videos at once"
+        elif self.sequences.count(caller) >= own:
+            allowed = f"{own} of one caller's videos at once"
+        else:
+            return
+        sentence = f"expected at most {allowed}; try again later"
+        raise overloaded(sentence, "too_many_sequences", _SEQUENCE_RETRY_S)
 
     @contextmanager
     def sequence(self, caller: Caller) -> Iterator[None]:
@@ -102,10 +100,7 @@ class Runtime:
 
 
 def runtime_of(request: Request) -> Runtime:
-    """Return the state of the application.
-
-    This is a function rather than a dependency, since each dependency costs time on every frame.
-    """
+    """Return the state of the application; a dependency would cost time on every frame."""
     return cast(Runtime, request.app.state.runtime)
 
 
@@ -140,8 +135,7 @@ async def run_frame(request: Request, work: Callable[[Job], T], *, kind: Hashabl
     )
 
 
-POLL_S = 3.0
-"""Interval at which Milvus is polled for the published index."""
+POLL_S = 3.0  # Interval at which Milvus is asked for the published index.
 
 
 async def keep_index_loaded(
@@ -149,14 +143,12 @@ async def keep_index_loaded(
 ) -> None:
     """Get the service ready; with Milvus, serve the index that is published there, always."""
     if runtime.settings.milvus is None:
-        # Loading runs in a thread of the executor, since the networks' own threads inherit its low
-        # priority.
+        # In a thread of the executor, whose low priority the networks' own threads inherit.
         loading = runtime.executor.submit(lambda: _prepare_estimator(runtime, read_index))
         await _become_ready_or_say_why(runtime, asyncio.wrap_future(loading))
         runtime.loading = False
         return
-    # This thread is separate because Milvus may take long to answer, and frames need the executor's
-    # threads.
+    # Milvus may take long to answer, and frames need the executor's threads.
     thread = ThreadPoolExecutor(1, "index", initializer=lower_thread_priority)
     try:
         while True:
@@ -173,13 +165,9 @@ def become_ready(runtime: Runtime, estimator: Estimator) -> None:
     runtime.metrics.observe_index(estimator.index.name, estimator.index.version)
     runtime.estimator = estimator
     runtime.sessions.end_others(estimator)
-    log.info(
-        "ready: version %s (%s), index %s with %d entries",
-        VERSION,
-        runtime.settings.revision,
-        estimator.index.version,
-        len(estimator.index),
-    )
+    index, revision = estimator.index, runtime.settings.revision
+    ready = "ready: version %s (%s), index %s with %d entries"
+    log.info(ready, VERSION, revision, index.version, len(index))
 
 
 def _prepare_estimator(runtime: Runtime, read_index: Callable[[], PoseIndex] | None) -> Estimator:

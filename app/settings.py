@@ -21,8 +21,7 @@ _ORIGIN = re.compile(r"[a-z][a-z0-9+.-]*://[^/?#\s]+|\*")
 _KUBERNETES = re.compile(r"POSE_(SERVICE_(HOST|PORT)(_\w+)?|PORT_\d+_(TCP|UDP)(_\w+)?)")
 
 Method = Literal["networks", "paper"]
-"""How people are found and poses estimated: by networks, which also read landmarks, or as in the
-paper, by HOG and silhouettes alone."""
+"""By networks, which also read landmarks, or as in the paper, by HOG and silhouettes alone."""
 
 Segmenter = Literal["network", "grabcut"]
 """What cuts people out of a frame where neither a mask nor a background does."""
@@ -186,10 +185,8 @@ class Settings(BaseSettings):
     def _check_sessions(cls, sessions: int, info: ValidationInfo) -> int:
         workers = info.data.get("workers", 1)
         if sessions and workers > 1:
-            raise ValueError(
-                f"expected 0 with WORKERS={workers}, since each process would know a part of every "
-                f"camera, got {sessions}"
-            )
+            reason = f"WORKERS={workers}, since each process would know a part of every camera"
+            raise ValueError(f"expected 0 with {reason}, got {sessions}")
         return sessions
 
     @field_validator("cors_origins")
@@ -197,10 +194,8 @@ class Settings(BaseSettings):
     def _check_origins(cls, origins: tuple[str, ...]) -> tuple[str, ...]:
         for origin in origins:
             if not _ORIGIN.fullmatch(origin):
-                raise ValueError(
-                    "expected origins of scheme and host such as https://yard.example, "
-                    f"got {shortened(origin)}"
-                )
+                such = "origins of scheme and host such as https://yard.example"
+                raise ValueError(f"expected {such}, got {shortened(origin)}")
         return origins
 
 
@@ -228,7 +223,7 @@ def read_settings() -> Settings:
         first = error.errors()[0]
         place = str(first["loc"][0]).upper()
         name = place if place in VARIABLES else f"{PREFIX}{place}"
-        sentence = f"{_spelling(name, os.environ)}: {expected_and_got(first)}"
+        sentence = f"{_spelling(name)}: {expected_and_got(first)}"
     # The error is raised outside the handler, whose own error holds the values, secrets included.
     raise SettingsError(sentence)
 
@@ -237,16 +232,13 @@ def _refuse_unknown(environment: Mapping[str, str]) -> None:
     known = {name.removeprefix(PREFIX): name for name in VARIABLES}
     for spelling, value in environment.items():
         name = spelling.upper()
-        if not name.startswith(PREFIX) or name in VARIABLES:
-            continue
-        if _KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://")):
-            continue
-        raise SettingsError(
-            f"{spelling}: expected one of the settings in docs/running.md"
-            + (suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name")
-        )
+        is_kubernetes = _KUBERNETES.fullmatch(name) or value.startswith(("tcp://", "udp://"))
+        if name.startswith(PREFIX) and name not in VARIABLES and not is_kubernetes:
+            hint = suggestion(name.removeprefix(PREFIX), known) or ", which has none of this name"
+            expected = f"{spelling}: expected one of the settings in docs/running.md"
+            raise SettingsError(expected + hint)
 
 
-def _spelling(name: str, environment: Mapping[str, str]) -> str:
+def _spelling(name: str) -> str:
     """Return a variable's name in the case in which it was set."""
-    return next((spelling for spelling in environment if spelling.upper() == name), name)
+    return next((spelling for spelling in os.environ if spelling.upper() == name), name)

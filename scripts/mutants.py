@@ -30,7 +30,7 @@ from scripts.results import ROOT
 MODULES = [
     "app/bridge/*.py", "app/camera.py", "app/cameras.py", "app/estimation/[fp]*.py", "app/film.py",
     "app/http/[!_]*.py", "app/photograph.py", "app/scheduling/queue.py", "app/tracking/[!a_]*.py",
-    "app/video/*.py", "app/vision/detector.py", "app/vision/detectors/[!_]*.py",
+    "app/decoding/*.py", "app/vision/detector.py", "app/vision/detectors/[!_]*.py",
     "app/vision/judgement.py", "app/vision/p*.py", "app/vision/s*.py", "app/vision/truncation.py",
     "index/landmark*.py", "index/matching.py", "index/modes.py", "index/silhouette_matching.py",
 ]  # fmt: skip

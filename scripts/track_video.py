@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from app.api.overlay import PEOPLE, draw_skeleton, write_text
 from app.camera import CameraSession
+from app.decoding import Frame
+from app.decoding.frames import UnreadableError, Video
 from app.estimation.upload import Upload
 from app.photograph import Estimator, load_estimator
 from app.scheduling.job import Job
 from app.settings import Settings
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
-from app.video import Frame
-from app.video.frames import UnreadableError, Video
 from app.vision.optics import Optics
 from index import DEFAULT_PATH
 from index.matching import DEFAULT_HYPOTHESES

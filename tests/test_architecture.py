@@ -92,14 +92,14 @@ def test_the_bridge_is_a_client() -> None:
     for path in MODULES:
         others = imported_files(ROOT / path) - {"app/__init__.py"}
         if path.startswith("app/bridge/"):
-            assert all(other.startswith(("app/bridge/", "app/video/")) for other in others), path
+            assert all(other.startswith(("app/bridge/", "app/decoding/")) for other in others), path
         else:
             assert not any(other.startswith("app/bridge/") for other in others), path
 
 
 def test_the_bridge_loads_nothing_of_the_service() -> None:
     loaded = output_of(
-        sys.executable, "-c", "import sys, app.bridge.command; print(*sys.modules)"
+        sys.executable, "-c", "import sys, app.bridge.__main__; print(*sys.modules)"
     ).split()
     assert {"faiss", "fastapi", "ai_edge_litert", "index"}.isdisjoint(loaded)
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.camera import CameraSession
-from app.cameras import CameraKey, CameraSessions
+from app.cameras import CameraKey, CameraSessions, SessionLimits, Wanted
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
@@ -128,17 +128,16 @@ def test_nothing_holds_a_session_that_has_ended(tiny_index: PoseIndex, ends: str
         begun.append(weakref.ref(session))
         return session
 
-    sessions = CameraSessions(
-        begin, max_sessions=1, idle_s=300, max_memory_bytes=10**9, clock=lambda: now[0]
-    )
+    limits = SessionLimits(1, 300, 10**9)
+    sessions = CameraSessions(begin, limits, {}, clock=lambda: now[0])
     yard, hall = CameraKey(0, "yard"), CameraKey(0, "hall")
-    sessions.process(yard, estimator, Upload(draw((0, 100))), 0.0, 3, Job())
+    sessions.process(yard, estimator, Upload(draw((0, 100))), 0.0, Job(), Wanted(3))
     if ends == "forget":
         sessions.forget(yard)
     elif ends == "idle":
         now[0] = 301.0
         sessions.end_idle()
     else:
-        sessions.process(hall, estimator, Upload(draw()), 0.0, 3, Job())
+        sessions.process(hall, estimator, Upload(draw()), 0.0, Job(), Wanted(3))
     gc.collect()
     assert begun[0]() is None

@@ -32,23 +32,19 @@ SIDE_COLOURS = {"left": _bgr("#ff8a3c"), "right": _bgr("#3c9dff"), "middle": _bg
 
 OUTLINE = _bgr("#ffffff")
 
+# The meaning of each line, its colour, and whether it is dashed.
 LEGEND = (
     ("person's left", SIDE_COLOURS["left"], False),
     ("right", SIDE_COLOURS["right"], False),
     ("unsure", SIDE_COLOURS["middle"], True),
     ("silhouette", OUTLINE, False),
 )
-"""The meaning of each line, its colour, and whether it is dashed."""
-
+# Lines are dashed below this visibility of a landmark, or confidence of a hypothesis.
 DASHED_BELOW = 0.5
-"""Lines are dashed below this visibility of a landmark, or confidence of a hypothesis."""
+# The drawn parts of a line, as shares of its length, by whether it is dashed.
+_PARTS = {False: ((0.0, 1.0),), True: ((0.0, 0.2), (0.4, 0.6), (0.8, 1.0))}
 
-# The drawn parts of a dashed line, as shares of its length.
-_DASHES = ((0.0, 0.2), (0.4, 0.6), (0.8, 1.0))
-
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
-_FONT_PX = 22
-"""Height of a capital letter at scale 1, pixels."""
+_FONT, _FONT_PX = cv2.FONT_HERSHEY_SIMPLEX, 22  # The height of a capital letter at scale 1.
 
 
 def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8]:
@@ -65,9 +61,8 @@ def draw_overlay(estimate: Estimate, keypoints: KeypointSet) -> NDArray[np.uint8
     labels: list[_Label] = []
     for number, person in enumerate(estimate.persons, start=1):
         box = person.box
-        text = (
-            f"{number} {person.posture.label.replace('_', ' ')}" if person.posture else f"{number}"
-        )
+        posture = person.posture.label.replace("_", " ") if person.posture else ""
+        text = f"{number} {posture}".strip()
         width = cv2.getTextSize(text, _FONT, letter / _FONT_PX, 1)[0][0]
         left = max(0, min(round(box.x), picture.shape[1] - width))
         label = _Label(left, left + width, max(letter + 2, round(box.y) - 2 - line))
@@ -94,11 +89,7 @@ def _below_others(label: _Label, others: Sequence[_Label], height: int) -> _Labe
 
 
 def _draw_person(
-    picture: NDArray[np.uint8],
-    person: Person,
-    colour: Colour,
-    keypoints: KeypointSet,
-    line: int,
+    picture: NDArray[np.uint8], person: Person, colour: Colour, keypoints: KeypointSet, line: int
 ) -> None:
     box, silhouette = person.box, person.silhouette
     # Lines of the width that suits the frame would hide small people.
@@ -136,22 +127,16 @@ def _legend(width: int, letter: int) -> NDArray[np.uint8]:
     left = letter
     for name, colour, dashed in LEGEND:
         middle = 3 * letter // 2
-        for start, end in _DASHES if dashed else ((0.0, 1.0),):
+        for start, end in _PARTS[dashed]:
             ends = [(left + round(share * letter), middle) for share in (start, end)]
             cv2.line(strip, ends[0], ends[1], colour, 3)
-        left = write_text(
-            strip, name, (left + 3 * letter // 2, 2 * letter), letter, (235, 235, 235)
-        )
-        left += letter
+        corner = left + 3 * letter // 2, 2 * letter
+        left = letter + write_text(strip, name, corner, letter, (235, 235, 235))
     return strip
 
 
 def write_text(
-    picture: NDArray[np.uint8],
-    text: str,
-    corner: tuple[int, int],
-    letter: int,
-    colour: Colour,
+    picture: NDArray[np.uint8], text: str, corner: tuple[int, int], letter: int, colour: Colour
 ) -> int:
     """Write text with a dark outline into a BGR picture; return the column where it ends.
 
@@ -175,10 +160,9 @@ def draw_labels(estimate: Estimate) -> NDArray[np.uint8]:
 
 def draw_silhouettes(estimate: Estimate) -> NDArray[np.uint8]:
     """Draw the silhouettes ``(H, W, 3)``, BGR, in the colours of their people, on black."""
-    number = draw_labels(estimate)
     colours = np.zeros((256, 3), np.uint8)
     colours[1:] = np.resize(PEOPLE, (255, 3))
-    return colours[number]
+    return colours[draw_labels(estimate)]
 
 
 def encode_png(picture: NDArray[np.uint8]) -> bytes:
@@ -210,11 +194,9 @@ def draw_skeleton(
                 colour = (0, 0, 0) if seam else SIDE_COLOURS[_side(keypoints, parent, child)]
                 dashed = bool(unsure) and (unsure[parent] or unsure[child])
                 along = fixed[child] - fixed[parent]
-                for start, end in _DASHES if dashed else ((0.0, 1.0),):
-                    first, last = (
-                        np.rint(fixed[parent] + share * along).astype(int).tolist()
-                        for share in (start, end)
-                    )
+                for part in _PARTS[dashed]:
+                    ends = fixed[parent] + np.outer(part, along)
+                    first, last = np.rint(ends).astype(int).tolist()
                     cv2.line(picture, first, last, colour, line + seam, cv2.LINE_AA, 4)
 
 

@@ -1,12 +1,22 @@
 """The public contract: the models that clients send and receive, with units and examples."""
 
+import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, with_config
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    FiniteFloat,
+    with_config,
+)
 from typing_extensions import TypedDict
 
 from app.estimation.posture import PostureLabel
 from app.estimation.results import FacingSource, Source
+from app.estimation.upload import MIN_BOX_PX
 from app.vision.images import ImageWarning
 from index.posture import PostureName
 
@@ -17,15 +27,34 @@ JointForm = Literal["full", "compact", "none"]
 
 Probability = Annotated[FiniteFloat, Field(ge=0, le=1)]
 
+# The digits of what is written. They are few enough that every processor gives the same answer.
+METRE_DIGITS, PIXEL_DIGITS = 4, 2
+MIN_FOV_DEG = 0.01
+"""Least field of view that is written: that of a frame of one column could be rounded to 0."""
+
+
+def rounding(digits: int, least: float = -math.inf) -> BeforeValidator:
+    """Round what is written. It comes after the limits of a value, or they go undocumented."""
+    return BeforeValidator(lambda value: max(least, round(value, digits)))
+
+
+Score = Annotated[Probability, rounding(4)]
+Seconds = Annotated[FiniteFloat, rounding(4)]
+Duration = Annotated[FiniteFloat, Field(ge=0), rounding(4)]
+_Pixels = Annotated[FiniteFloat, rounding(PIXEL_DIGITS)]
+_Side = Annotated[FiniteFloat, Field(gt=0), rounding(PIXEL_DIGITS, MIN_BOX_PX)]
+_Metres = Annotated[FiniteFloat, rounding(2)]
+_Degrees = Annotated[FiniteFloat, rounding(2)]
+_Milliseconds = Annotated[FiniteFloat, Field(ge=0), rounding(3)]
 
 FieldOfView = Annotated[
     FiniteFloat,
     Field(
         ge=10,
         le=170,
-        description="Horizontal field of view of the camera, degrees, 10 to 170. Without it, 60 "
-        "degrees are assumed across the longer side of the frame. In a camera session, a frame's "
-        "own value wins over that of `PUT /cameras/{camera_id}`.",
+        description="Horizontal field of view of the camera, degrees. Without it, 60 degrees are "
+        "assumed across the longer side of the frame. In a camera session, a frame's own value "
+        "wins over that of `PUT /cameras/{camera_id}`.",
         examples=[90.0],
     ),
 ]
@@ -34,9 +63,9 @@ PixelAspect = Annotated[
     Field(
         ge=0.25,
         le=4,
-        description="Width over height of a pixel, 0.25 to 4; 2 for a camera that sends 960x1080 "
-        "for 1920x1080. 1 without it, and of a video what its file says. The reply is in pixels "
-        "of the frame that was sent. In a camera session, a frame's own value wins.",
+        description="Width over height of a pixel; 2 for a camera that sends 960x1080 for "
+        "1920x1080. 1 without it, and of a video what its file says. The reply is in pixels of the "
+        "frame that was sent. In a camera session, a frame's own value wins.",
         examples=[1.0],
     ),
 ]
@@ -47,19 +76,18 @@ Roll = Annotated[
         le=360,
         multiple_of=90,
         description="Clockwise rotation of the camera about its line of sight, degrees, a multiple "
-        "of 90 from -360 to 360; 0 without it. 90 for a camera whose upper side points to the "
-        "right, so that people have their heads at the left of its picture. Frames are turned "
-        "upright before people are looked for, and the reply is in pixels and axes of the frame "
-        "that was sent. In a camera session, a frame's own value wins.",
+        "of 90; 0 without it. 90 for a camera whose upper side points to the right, so that people "
+        "have their heads at the left of its picture. Frames are turned upright first; the reply "
+        "is in pixels and axes of the frame that was sent. In a session, a frame's own value wins.",
         examples=[0.0],
     ),
 ]
 
 
 class Model(BaseModel):
-    """Base of all models: immutable, unknown fields forbidden."""
+    """Base of all models: immutable, unknown fields forbidden, also made of objects alike."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
 
 
 FRAME = (
@@ -76,10 +104,9 @@ class FrameUpload(Model):
     )
     mask: bytes | None = Field(
         default=None,
-        description="Where the people are: an image of the frame's size, 0 background, "
-        "k = person k; one with two values, or with soft edges, is one person. PNG keeps the "
-        "labels; a JPEG has to be black and white. Without a frame, poses are estimated from the "
-        "silhouettes alone.",
+        description="Where the people are: an image of the frame's size, 0 background, k = person "
+        "k; one with two values, or with soft edges, is one person. PNG keeps the labels; a JPEG "
+        "has to be black and white. Without a frame, poses follow from the silhouettes alone.",
     )
     background: bytes | None = Field(
         default=None,
@@ -108,10 +135,7 @@ class Problem(Model):
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
     reason: str = Field(
-        description="The same for programs: `overloaded`, `superseded` by a newer frame of the "
-        "camera, `late_frame`, `deadline`, `not_ready`, `unavailable` (the index cannot be "
-        "searched), `undecodable`, `too_large`, `misfit`, `invalid`, ...: see running.md; more "
-        "may be added.",
+        description="The same for programs, as listed in running.md; more may be added.",
         examples=["misfit"],
     )
     field: str | None = Field(
@@ -152,10 +176,10 @@ class Point3D(TypedDict):
 class Box(Model):
     """A person's bounding box."""
 
-    x: FiniteFloat = Field(description="Left edge, pixels of the frame.", examples=[401.0])
-    y: FiniteFloat = Field(description="Top edge, pixels of the frame.", examples=[120.0])
-    width: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[61.0])
-    height: FiniteFloat = Field(gt=0, description="Pixels of the frame.", examples=[148.0])
+    x: _Pixels = Field(description="Left edge, pixels of the frame.", examples=[401.0])
+    y: _Pixels = Field(description="Top edge, pixels of the frame.", examples=[120.0])
+    width: _Side = Field(description="Pixels of the frame.", examples=[61.0])
+    height: _Side = Field(description="Pixels of the frame.", examples=[148.0])
 
 
 class ImageSize(Model):
@@ -168,9 +192,7 @@ class ImageSize(Model):
 class Image(ImageSize):
     """The frame after its EXIF orientation was applied, and its camera."""
 
-    fov_deg: FiniteFloat = Field(
-        gt=0,
-        lt=180,
+    fov_deg: Annotated[FiniteFloat, Field(gt=0, lt=180), rounding(2, MIN_FOV_DEG)] = Field(
         description="The horizontal field of view that was used, degrees.",
         examples=[60.0],
     )
@@ -180,14 +202,12 @@ class Image(ImageSize):
         examples=[False],
     )
     warnings: list[ImageWarning] = Field(
-        description="What may impair the result. `crowded`: the photograph shows more people than "
-        "are returned, because there are too many or the time was over; `dark`: the frame is too "
-        "dark to show much; `obstructed`: little is left of the camera's usual view, because the "
-        "camera is covered, out of focus or turned away; `stretched`: a picture of 16 bits a "
-        "channel used only part of its range, which was stretched; `truncated`: the end of a JPEG, "
-        "or part of a TIFF, is missing; `damaged`: the video has lost data of this frame, or of "
-        "one that it is predicted from; `zone_outside`: a zone of the camera lies wholly outside "
-        "the frame. More may be added.",
+        description="What may impair the result. `crowded`: there are more people than are "
+        "returned, too many or for want of time; `dark`: too dark to show much; `obstructed`: the "
+        "camera's usual view is covered, out of focus or turned away; `stretched`: a picture of 16 "
+        "bits a channel used only part of its range; `truncated`: the end of a JPEG, or part of a "
+        "TIFF, is missing; `damaged`: the video has lost data of this frame, or of one that it is "
+        "predicted from; `zone_outside`: a zone lies wholly outside. More may be added.",
         examples=[[]],
     )
 
@@ -195,11 +215,10 @@ class Image(ImageSize):
 class Position(Model):
     """Where a person is: metres from the camera to the pelvis, in the camera's axes."""
 
-    x: FiniteFloat = Field(description="Metres to the right.", examples=[0.4])
-    y: FiniteFloat = Field(description="Metres down.", examples=[0.2])
-    z: FiniteFloat = Field(description="Metres away from the camera.", examples=[6.1])
-    sd: FiniteFloat = Field(
-        ge=0,
+    x: _Metres = Field(description="Metres to the right.", examples=[0.4])
+    y: _Metres = Field(description="Metres down.", examples=[0.2])
+    z: _Metres = Field(description="Metres away from the camera.", examples=[6.1])
+    sd: Annotated[FiniteFloat, Field(ge=0), rounding(2)] = Field(
         description="Standard deviation along the line of sight, metres: the distance follows from "
         "the size of the body in the image, and people differ by a tenth.",
         examples=[0.6],
@@ -236,8 +255,7 @@ class RunLengths(Model):
     """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
 
     counts: str = Field(
-        description="Counts of pixels outside and inside, alternately, down the columns of the "
-        "frame from the left, compressed as pycocotools does.",
+        description="Counts of pixels outside and inside, alternately, down the columns.",
         examples=["l]a76ja000000TZl5"],
     )
     size: list[int] = Field(
@@ -259,8 +277,7 @@ class SilhouetteSummary(Model):
     )
     truncated: bool = Field(
         description="Whether part of the person is missing: the edge of the frame cuts off the "
-        "body (recognised from the silhouette, and from unseen keypoints of head and feet), or a "
-        "nearer person hides it.",
+        "body, or a nearer person hides it.",
         examples=[False],
     )
     rle: RunLengths | None = Field(
@@ -278,19 +295,18 @@ class ObservedKeypoint(Model):
     """A keypoint in the photograph."""
 
     name: str = Field(description="Left and right are the person's own.", examples=["nose"])
-    x: FiniteFloat = Field(description="Pixels of the frame.", examples=[429.0])
-    y: FiniteFloat = Field(description="Pixels of the frame.", examples=[128.5])
-    z: FiniteFloat = Field(
+    x: _Pixels = Field(description="Pixels of the frame.", examples=[429.0])
+    y: _Pixels = Field(description="Pixels of the frame.", examples=[128.5])
+    z: Annotated[FiniteFloat, rounding(4)] = Field(
         description="Metres behind the middle of the hips, negative in front of it, as the network "
         "estimates it.",
         examples=[-0.21],
     )
-    sd: FiniteFloat = Field(
-        ge=0,
+    sd: Annotated[FiniteFloat, Field(ge=0), rounding(3)] = Field(
         description="Standard deviation of `z`, metres: a wrist of 0.2 may well be 20 cm nearer.",
         examples=[0.09],
     )
-    score: Probability = Field(
+    score: Score = Field(
         description="Visibility: how certain the network is that the keypoint is inside the frame "
         "and not hidden. Hidden ones are guessed from the rest of the body.",
         examples=[0.81],
@@ -300,15 +316,14 @@ class ObservedKeypoint(Model):
 class Facing(Model):
     """Whether the person faces the camera, which a silhouette alone cannot show."""
 
-    front_probability: Probability = Field(
+    front_probability: Score = Field(
         description="Probability that the camera sees the person from the front.",
         examples=[0.91],
     )
     evidence: FacingSource = Field(
         description="The evidence for it: `image`, the keypoints that the photograph shows; "
         "`motion`, the direction in which a tracked person moves; `none`, the silhouette alone, "
-        "which cannot show it. In a single frame, the probability is the share of the hypotheses' "
-        "confidence that belongs to those facing the camera.",
+        "which cannot show it.",
         examples=["image"],
     )
 
@@ -321,7 +336,7 @@ class Posture(Model):
         "half.",
         examples=["walking"],
     )
-    probability: Probability = Field(
+    probability: Score = Field(
         description="Probability that the label is right; for `unclear`, that of the likeliest "
         "posture.",
         examples=[0.88],
@@ -335,8 +350,7 @@ class MotionSource(Model):
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
     action: str = Field(
-        description="Action that the clip shows there, not the action of the person in the "
-        "photograph, which a single frame cannot show.",
+        description="What the clip shows there; a single frame cannot show what a person does.",
         examples=["walk"],
     )
     mirrored: bool = Field(
@@ -349,11 +363,10 @@ class HypothesisSource(MotionSource):
 
     twin: bool = Field(
         default=False,
-        description="Whether the hypothesis is the twin of the first one: its depths are reversed, "
-        "and left and right are exchanged. An outline cannot distinguish the two, so of a "
-        "silhouette alone the twin is among the first seven, unless another is as near to it as "
-        "a right hypothesis. It does not count for `posture` and `facing`; its `camera`, "
-        "`posture` and distances are those of the first.",
+        description="Whether it is the twin of the first one, which an outline cannot distinguish: "
+        "depths reversed, left and right exchanged. Of a silhouette alone it is among the first "
+        "seven, unless another is as near to it as a right hypothesis. It does not count for "
+        "`posture` and `facing`; its `camera`, `posture` and distances are those of the first.",
         examples=[False],
     )
 
@@ -361,19 +374,37 @@ class HypothesisSource(MotionSource):
 class Camera(Model):
     """Position of the virtual camera of an entry."""
 
-    azimuth_deg: FiniteFloat = Field(
+    azimuth_deg: Annotated[_Degrees, AfterValidator(lambda degrees: degrees % 360.0)] = Field(
         description="Degrees; 0: it looks the person in the face, 90: it sees the person's left "
         "side.",
         examples=[45.0],
     )
-    elevation_deg: FiniteFloat = Field(
+    elevation_deg: _Degrees = Field(
         description="Degrees; height angle of the camera above the person.", examples=[15.0]
     )
-    roll_deg: FiniteFloat = Field(
+    roll_deg: _Degrees = Field(
         description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
         "About 90 or -90 for a person who lies.",
         examples=[0.0],
     )
+
+
+Flat3D = Annotated[
+    list[FiniteFloat | None] | None,
+    Field(
+        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
+        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
+    ),
+]
+Flat2D = Annotated[
+    list[FiniteFloat | None] | None,
+    Field(
+        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
+        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
+        examples=[[431.2, 190.4, 430.6, 177.9]],
+    ),
+]
 
 
 class Hypothesis(Model):
@@ -383,9 +414,8 @@ class Hypothesis(Model):
     entry: int = Field(ge=0, description="Number of the index entry.", examples=[20117])
     distance: FiniteFloat = Field(
         ge=0,
-        description="Distance by silhouette and keypoints. It never decreases with the rank: a "
-        "nearer hypothesis that follows a farther one has the distance of the farther one. It "
-        "starts from `silhouette_distance`. Keypoints that support a hypothesis shorten it, and "
+        description="Distance by silhouette and keypoints, which never decreases with the rank. It "
+        "starts from `silhouette_distance`; keypoints that support a hypothesis shorten it, and "
         "keypoints that contradict it lengthen it. Without keypoints (`facing.evidence` is "
         "`none`), it is longer the less likely the re-ranking network finds the joints.",
         examples=[0.031],
@@ -398,18 +428,16 @@ class Hypothesis(Model):
     )
     reprojection_error_px: FiniteFloat = Field(
         ge=0,
-        description="Mean distance, in pixels of the normalised 128x48 frame, between the recorded "
-        "skeleton from which the hypothesis was made, scaled and placed on the person before it "
-        "is fitted, and what was observed: from its joints to the keypoints in the photograph "
-        "or, without these (`facing.evidence` is `none`), between both outlines.",
+        description="Mean distance, in pixels of the normalised 128x48 frame, between the entry's "
+        "skeleton, scaled and placed on the person before it is fitted, and what was observed: "
+        "from its joints to the keypoints or, without these, between both outlines.",
         examples=[1.8],
     )
     confidence: Probability = Field(
-        description="Calibrated probability that the hypothesis is right: that the mean distance "
-        "of its limb joints (shoulders, elbows, wrists, hips, knees, ankles) from the person's "
-        "own, in the image, is under 5 px of the normalised 128x48 frame and, for an alternative "
-        "in depth, that its depths are moreover nearer to the truth than those of the first "
-        "hypothesis. It falls as the reprojection error grows, and never rises with the rank.",
+        description="Calibrated probability that the mean distance of its limb joints (shoulders, "
+        "elbows, wrists, hips, knees, ankles) from the person's own, in the image, is under 5 px "
+        "of the normalised 128x48 frame and, for an alternative in depth, that its depths are "
+        "nearer to the truth than those of the first. It never rises with the rank.",
         examples=[0.87],
     )
     alternative: Literal["depth"] | None = Field(
@@ -426,38 +454,27 @@ class Hypothesis(Model):
     )
     adjusted_mm: FiniteFloat = Field(
         ge=0,
-        description="Mean distance of the joints from those of the entry's own skeleton, in "
-        "millimetres: how far it was moved to fit this person, before it was placed in front of "
-        "the camera. `GET /index/entries/{entry}` has the entry's own.",
+        description="Mean distance, in millimetres, of the joints from those of the entry's own "
+        "skeleton (`GET /index/entries/{entry}`), before it was placed in front of the camera.",
         examples=[41.0],
     )
     posture: PostureName = Field(
         description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
     )
     joints_3d: list[Point3D | None] | None = Field(
-        description="The entry's skeleton fitted to this person, in metres: interpolated between "
-        "near entries, moved to the landmarks in three dimensions and placed on the lines of sight "
-        "of its pixels, in the person's size. Camera axes (x right, y down, z forward) that follow "
-        "from `image.fov_deg`, origin at the pelvis. Null "
-        "where the entry lacks one, and as a whole with `joints=compact` or `none`.",
+        description="The entry's skeleton fitted to this person, in metres and the person's size: "
+        "interpolated between near entries, moved to the landmarks and placed on the lines of "
+        "sight of its pixels. Camera axes (x right, y down, z forward) that follow from "
+        "`image.fov_deg`, origin at the pelvis. Null where the entry lacks one, and as a whole "
+        "with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
     joints_2d: list[Point2D | None] | None = Field(
-        description="The same keypoints in pixels of the frame, placed and scaled on this "
-        "person's silhouette. Null where the entry lacks one, and as a whole with "
-        "`joints=compact` or `none`.",
+        description="The same in pixels of the frame; null as above.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
-    joints_3d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`: three for each "
-        "keypoint, null where the entry lacks it. Null as a whole unless `joints=compact`.",
-        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
-    )
-    joints_2d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`: two for each keypoint, "
-        "null where the entry lacks it. Null as a whole unless `joints=compact`.",
-        examples=[[431.2, 190.4, 430.6, 177.9]],
-    )
+    joints_3d_flat: Flat3D
+    joints_2d_flat: Flat2D
     source: HypothesisSource
     camera: Camera
 
@@ -466,15 +483,15 @@ class Person(Model):
     """One person of the frame."""
 
     box: Box
-    detection_score: FiniteFloat | None = Field(
+    detection_score: Annotated[FiniteFloat, rounding(4)] | None = Field(
         description="The detector's probability that this is a person; for a tracked person, the "
         "highest so far. Null if the caller located the people.",
         examples=[0.93],
     )
     source: Source = Field(
-        description="What found the person: the service's detector (`GET /index` names it), the "
-        "caller's mask or boxes, or the difference from the background. In camera sessions also "
-        "`track`: the person is predicted there from earlier frames.",
+        description="What found the person: the service's detector, the caller's mask or boxes, or "
+        "the difference from the background; in camera sessions also `track`: the person is "
+        "predicted there from earlier frames.",
         examples=["detector"],
     )
     window_empty: bool = Field(
@@ -487,8 +504,8 @@ class Person(Model):
     )
     observed_keypoints: list[ObservedKeypoint | None] | None = Field(
         description="The 17 COCO keypoints as the photograph shows them, in COCO's order, or all "
-        "33 landmarks with `observed=blazepose33`; null for one with a score below 0.05. Null as a "
-        "whole if none were read, as with `evidence=silhouette` or without a frame."
+        "33 landmarks with `observed=blazepose33`; null for a score below 0.05, and as a whole if "
+        "none were read."
     )
     facing: Facing | None = Field(description="Null without a silhouette.")
     posture: Posture | None = Field(description="Null without a silhouette.")
@@ -505,22 +522,21 @@ class Person(Model):
 class Timings(Model):
     """Durations in milliseconds."""
 
-    decode: FiniteFloat = Field(ge=0, description="Decoding the images.", examples=[3.1])
-    detect: FiniteFloat = Field(ge=0, description="Detecting people.", examples=[21.0])
-    segment: FiniteFloat = Field(ge=0, description="Cutting out silhouettes.", examples=[4.4])
-    keypoints: FiniteFloat = Field(
-        ge=0, description="Reading keypoints from the photograph.", examples=[12.5]
+    decode: _Milliseconds = Field(description="Decoding the images.", examples=[3.1])
+    detect: _Milliseconds = Field(description="Detecting people.", examples=[21.0])
+    segment: _Milliseconds = Field(description="Cutting out silhouettes.", examples=[4.4])
+    keypoints: _Milliseconds = Field(
+        description="Reading keypoints from the photograph.", examples=[12.5]
     )
-    describe: FiniteFloat = Field(
-        ge=0, description="Normalising silhouettes to 128x48.", examples=[0.1]
+    describe: _Milliseconds = Field(
+        description="Normalising silhouettes to 128x48.", examples=[0.1]
     )
-    search: FiniteFloat = Field(
-        ge=0,
+    search: _Milliseconds = Field(
         description="Moments, nearest entries, and choosing distinct poses among them.",
         examples=[0.4],
     )
-    total: FiniteFloat = Field(
-        ge=0, description="All work on this frame, without waiting and transport.", examples=[29.6]
+    total: _Milliseconds = Field(
+        description="All work on this frame, without waiting and transport.", examples=[29.6]
     )
 
 
@@ -547,9 +563,8 @@ class ServiceVersion(Model):
     version: str = Field(description="Version of the service.", examples=["1.0.0"])
     revision: str = Field(description="Git revision it was built from.", examples=["a86e38b"])
     detector: Literal["network", "hog"] = Field(
-        description="Person detector of requests that name no method. `network`: MoveNet's and "
-        "BlazePose's networks, whose detections HOG and an object detector score again; `hog`: "
-        "HOG over many scales, with `POSE_METHOD=paper`.",
+        description="Person detector of requests that name no method; `hog` with "
+        "`POSE_METHOD=paper`.",
         examples=["network"],
     )
 

@@ -3,10 +3,13 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, FiniteFloat, field_validator, model_validator
+from pydantic import ConfigDict, Field, FiniteFloat, field_validator, model_validator
 
 from app.api.schemas import (
+    Duration,
     FieldOfView,
+    Flat2D,
+    Flat3D,
     FrameUpload,
     ImageSize,
     Model,
@@ -17,6 +20,9 @@ from app.api.schemas import (
     PoseResponse,
     Probability,
     Roll,
+    Score,
+    Seconds,
+    rounding,
 )
 from app.estimation.posture import PostureLabel
 from app.film import VideoEndReason
@@ -36,10 +42,9 @@ class TrackUpload(FrameUpload):
 
     track_ids: str | None = Field(
         default=None,
-        description="The caller's own identities of the people in `boxes`, for callers who track "
-        "people themselves: a JSON list of strings or integers, one for each box, such as "
-        '`["17", "18"]`. The reply has them as `caller_track_id`, as strings; the same identity '
-        "means the same person.",
+        description="The caller's own identities of the people in `boxes`: a JSON list of strings "
+        'or integers, one for each box, such as `["17", "18"]`. The reply has them as strings, as '
+        "`caller_track_id`; the same identity means the same person.",
     )
     timestamp: float | None = Field(
         default=None,
@@ -53,6 +58,8 @@ class TrackUpload(FrameUpload):
 
 class _Given(Model):
     """Part of a configuration that a caller sends."""
+
+    model_config = ConfigDict(from_attributes=False)
 
     @model_validator(mode="before")
     @classmethod
@@ -154,24 +161,16 @@ class SmoothedPose(Model):
         examples=[0.91],
     )
     joints_3d: list[Point3D | None] | None = Field(
-        description="The keypoints in metres: camera axes (x right, y down, z forward), origin "
-        "at the pelvis. Null where one is unknown, and as a whole with `joints=compact` or `none`.",
+        description="In metres: camera axes (x right, y down, z forward), origin at the pelvis. "
+        "Null where one is unknown, and as a whole with `joints=compact` or `none`.",
         examples=[[{"x": 0.0, "y": 0.0, "z": 0.0}]],
     )
     joints_2d: list[Point2D | None] | None = Field(
         description="The same keypoints in pixels of the frame. Null as above.",
         examples=[[{"x": 431.2, "y": 190.4}]],
     )
-    joints_3d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_3d` as plain numbers, `[x1, y1, z1, x2, ...]`. Null as a whole unless "
-        "`joints=compact`.",
-        examples=[[0.0, 0.0, 0.0, 0.01, -0.12, 0.02]],
-    )
-    joints_2d_flat: list[FiniteFloat | None] | None = Field(
-        description="`joints_2d` as plain numbers, `[x1, y1, x2, ...]`. Null as a whole unless "
-        "`joints=compact`.",
-        examples=[[431.2, 190.4, 430.6, 177.9]],
-    )
+    joints_3d_flat: Flat3D
+    joints_2d_flat: Flat2D
 
 
 class Action(Model):
@@ -180,9 +179,7 @@ class Action(Model):
     label: str = Field(
         description="One of the actions of the index (`GET /index`).", examples=["walk"]
     )
-    probability: Probability = Field(
-        description="Probability that the label is right.", examples=[0.88]
-    )
+    probability: Score = Field(description="Probability that the label is right.", examples=[0.88])
 
 
 class TrackedPerson(Person):
@@ -216,10 +213,9 @@ class TrackedPerson(Person):
         "if none was given.",
         examples=["17"],
     )
-    still_s: FiniteFloat | None = Field(
-        ge=600,
-        description="Seconds for which the picture of the person has not changed, from 600 on: a "
-        "statue, a screen, a poster or a sleeping person. Otherwise null.",
+    still_s: Annotated[FiniteFloat, Field(ge=600), rounding(4)] | None = Field(
+        description="Seconds for which the person has looked the same, from 600 on: a statue, a "
+        "screen, a poster, a sleeper. Otherwise null.",
         examples=[None],
     )
 
@@ -228,9 +224,9 @@ class Event(Model):
     """A change in a track, or in the view of the camera, at one frame."""
 
     event: EventName = Field(
-        description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`: the "
-        "person is in a zone, or no longer; `fell`: the person fell and is down; `lying`, "
-        "`arms_raised`: the posture; `obstructed`: little is left of the camera's usual view.",
+        description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`; "
+        "`fell`: the person fell and is down; `lying`, `arms_raised`: the posture; `obstructed`: "
+        "little is left of the camera's usual view.",
         examples=["fell"],
     )
     track_id: Annotated[int, Field(ge=1)] | None = Field(
@@ -239,8 +235,7 @@ class Event(Model):
     )
     state: EventState = Field(
         description="Whether `lying`, `arms_raised` or `obstructed` began or ended; `instant` for "
-        "all others; `unconfirmed`, only in the last line of a video, for an event that had begun "
-        "to show but was not certain.",
+        "all others; `unconfirmed`, only at the end of a video, if it was not certain yet.",
         examples=["instant"],
     )
     zones: list[str] = Field(
@@ -252,10 +247,9 @@ class Event(Model):
         description="The caller's own identity of the person. Null if none was given.",
         examples=["17"],
     )
-    timestamp: FiniteFloat = Field(description="Time of the frame, seconds.", examples=[12.4])
-    probability: Probability = Field(description="Probability of the event.", examples=[0.93])
-    dwell_s: FiniteFloat | None = Field(
-        ge=0,
+    timestamp: Seconds = Field(description="Time of the frame, seconds.", examples=[12.4])
+    probability: Score = Field(description="Probability of the event.", examples=[0.93])
+    dwell_s: Duration | None = Field(
         description="Seconds that the person was in the zone, with `zone_left`; otherwise null.",
         examples=[31.5],
     )
@@ -271,7 +265,7 @@ class _TrackedFrame(PoseResponse):
     frame_index: int = Field(
         ge=0, description="Frames since the session began, from 0.", examples=[40]
     )
-    timestamp: FiniteFloat = Field(
+    timestamp: Seconds = Field(
         description="Time of the frame, seconds: its timestamp, or the time since the session "
         "began.",
         examples=[12.4],
@@ -304,8 +298,8 @@ class CameraState(Model):
         examples=[[]],
     )
     zones_crossing: list[str] = Field(
-        description="Names of the zones whose border crosses itself, for example because the "
-        "corners are in a wrong order; what it surrounds twice lies outside.",
+        description="Names of the zones whose border crosses itself, as with corners in a wrong "
+        "order.",
         examples=[[]],
     )
     fov_deg: FieldOfView | None = Field(
@@ -323,20 +317,18 @@ class CameraState(Model):
         description="Frames since the session began; 0 where there is none.",
         examples=[4120],
     )
-    timestamp: FiniteFloat | None = Field(
+    timestamp: Seconds | None = Field(
         description="Time of the last frame, seconds. Null without a session.", examples=[412.0]
     )
     image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
     track_ids: list[int] = Field(
         description="The people in the last frame, left to right.", examples=[[3, 7]]
     )
-    age_s: FiniteFloat | None = Field(
-        ge=0,
+    age_s: Duration | None = Field(
         description="Seconds since the first frame came. Null without a session.",
         examples=[413.2],
     )
-    idle_s: FiniteFloat | None = Field(
-        ge=0,
+    idle_s: Duration | None = Field(
         description="Seconds since the last frame came. Null without a session.",
         examples=[0.1],
     )
@@ -380,23 +372,22 @@ class PostureTime(Model):
     """The time that a person spent in a posture."""
 
     label: PostureLabel = Field(description="The posture.", examples=["walking"])
-    seconds: FiniteFloat = Field(ge=0, description="Total time.", examples=[11.8])
+    seconds: Duration = Field(description="Total time.", examples=[11.8])
 
 
 class TrackSummary(Model):
     """A person over a whole video."""
 
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
-    first_timestamp: FiniteFloat = Field(
+    first_timestamp: Seconds = Field(
         description="Time of the first frame with the person, seconds.", examples=[0.6]
     )
-    last_timestamp: FiniteFloat = Field(
+    last_timestamp: Seconds = Field(
         description="Time of the last frame with the person, seconds.", examples=[12.4]
     )
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
     action: Action | None = Field(
-        description="The action with the largest sum of probabilities, and its mean probability. "
-        "Null if none was recognised."
+        description="The likeliest over all frames, with its mean probability. Null if none."
     )
     postures: list[PostureTime] = Field(description="Ordered by duration, the longest first.")
 
@@ -406,10 +397,10 @@ class SequenceEnd(Model):
 
     type: Literal["end"] = Field(description="Always `end`.", examples=["end"])
     reason: VideoEndReason = Field(
-        description="`complete`: the video has ended; `max_frames`: as many frames as requested or "
-        "allowed were processed; `broken`: the rest cannot be read; `timeout`: the video or one of "
-        "its frames took too long; `shutdown`: the service is being stopped; `unavailable`: the "
-        "index cannot be searched; `failed`: an error of the service.",
+        description="`complete`: the video has ended; `max_frames`: no more were requested or "
+        "allowed; `broken`: the rest cannot be read; `timeout`: it took too long; `shutdown`: the "
+        "service is being stopped; `unavailable`: the index cannot be searched; `failed`: an error "
+        "of the service.",
         examples=["complete"],
     )
     detail: str = Field(
@@ -418,8 +409,7 @@ class SequenceEnd(Model):
     frames: int = Field(ge=0, description="Frames processed.", examples=[795])
     damaged: int = Field(
         ge=0,
-        description="How many of them have the warning `damaged`: the video has lost data there, "
-        "and people may be missed or wrongly detected.",
+        description="How many of them have the warning `damaged`.",
         examples=[0],
     )
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
@@ -430,3 +420,10 @@ class SequenceEnd(Model):
 
 
 SequenceLine = SequenceFrame | SequenceEnd
+
+
+class SequenceResponse(Model):
+    """A video's reply as one document."""
+
+    frames: list[SequenceFrame] = Field(description="In order.")
+    end: SequenceEnd

@@ -12,16 +12,15 @@ from typing import Any
 from app.bridge.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox
-from app.bridge.service import Camera
 from app.bridge.source import Frame, Source
+from app.bridge.web import Camera
 
 STATUS_EVERY_S = 10.0
+# Time without a sighting after which a person is gone; a session looks for nobody longer.
 HELD_S = 2.0
-"""Time without a sighting after which a person is gone; a session looks for nobody longer."""
 _NO_KEY = (401, 403)
+# These end the bridge before a frame was answered: the set-up is wrong. Later, it may recover.
 _NO_CAMERA = (404, 405, 422)
-"""Statuses that end the bridge before a frame was answered: the set-up is wrong. Later, the service
-may recover."""
 
 
 class Presence:
@@ -57,11 +56,7 @@ class Presence:
 
 
 class Bridge:
-    """Posts a camera's frames and passes the events on.
-
-    Home Assistant is shown how many people there are, which zones are occupied, and whether the
-    view is blocked.
-    """
+    """Posts a camera's frames, passes the events on, and shows Home Assistant what there is."""
 
     def __init__(
         self, camera: Camera, outbox: Outbox, home_assistant: HomeAssistant | None = None
@@ -92,10 +87,7 @@ class Bridge:
         say(f"the end: {self.answered} frames were answered")
 
     def _track(self, frame: Frame) -> tuple[dict[str, Any] | None, float]:
-        """Post a frame and pass its events on.
-
-        Return the answer, None if the service does not take the frame, and the seconds to wait.
-        """
+        """Return the answer to a frame, None if there is none, and the seconds to wait."""
         try:
             if self._missed_events:
                 self._catch_up()
@@ -174,17 +166,9 @@ class Bridge:
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:
     """The event of a person whom a restarted service does not know any more."""
-    return {
-        "event": "left",
-        "state": "instant",
-        "track_id": track_id,
-        "timestamp": timestamp,
-        "probability": 1.0,
-        "zones": [],
-        "caller_track_id": None,
-        "dwell_s": None,
-        "lost": False,
-    }
+    known = {"track_id": track_id, "timestamp": timestamp, "probability": 1.0}
+    unknown = {"caller_track_id": None, "dwell_s": None, "lost": False}
+    return {"event": "left", "state": "instant", "zones": [], **known, **unknown}
 
 
 def status(answer: Mapping[str, Any]) -> str:

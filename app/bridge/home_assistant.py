@@ -3,7 +3,8 @@
 Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
 ``people`` (a number), ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None while offline,
-and ``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then OFF).
+``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then OFF) and
+``last_fall`` (its time), which stays.
 """
 
 import contextlib
@@ -21,6 +22,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
+from app import VERSION
 from app.bridge.common import Trouble, UnavailableError, say
 from app.bridge.outbox import Message
 
@@ -29,6 +31,15 @@ FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
 _SENSORS = ("fell", "obstructed")  # Binary ones beside those of zones.
 _UNKNOWN = "None"  # As Home Assistant's sensors have it.
+_LASTING = ("lying", "arms_raised", "obstructed")
+EVENT_TYPES = [
+    *("entered", "left", "zone_entered", "zone_left", "fell"),
+    *(f"{name}{end}" for name in _LASTING for end in ("", "_ended")),
+]
+_EVENT = (
+    "{% set end = '_ended' if value_json.state == 'end' else '' %}"
+    "{{ dict(value_json, event_type=value_json.event ~ end) | tojson }}"
+)
 # The broker reports a dead machine after one and a half of these: within BLIND_AFTER_S, too.
 _KEEPALIVE_S = 10
 _ANSWERS_WITHIN_S = 5.0
@@ -64,7 +75,7 @@ class HomeAssistant:
         self._base = f"silhouette-pose/{camera_id}"
         self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
         self._fell_until = self._seen_at = 0.0
-        self._last_fall = ""
+        self._fall_shown = ""  # Its id.
         # Retained messages by topic: those that there should be, and those that the broker has.
         self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
         self._published: dict[str, str] = {}
@@ -79,13 +90,18 @@ class HomeAssistant:
         self._announce(
             "binary_sensor",
             "fell",
-            "fell",
+            "Fell",
             device_class="problem",
             value_template="{{ value_json.state }}",
             json_attributes_topic=self._fell,
         )
-        self._announce("binary_sensor", "obstructed", "obstructed", device_class="problem")
-        self._announce("sensor", "people", "people", state_class="measurement")
+        self._announce("binary_sensor", "obstructed", "Obstructed", device_class="problem")
+        self._announce("sensor", "people", "People", state_class="measurement")
+        # These two stay as they are while the camera is offline.
+        always = {"availability_topic": None}
+        self._announce("sensor", "last_fall", "Last fall", device_class="timestamp", **always)
+        events: dict[str, Any] = {"event_types": EVENT_TYPES, "value_template": _EVENT, **always}
+        self._announce("event", "events", "Events", **events)
         # By its name, the broker knows that an earlier connection of this camera is dead.
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
         if address.scheme == "mqtts":
@@ -107,12 +123,15 @@ class HomeAssistant:
         """Publish an event; return once the broker has it."""
         if not self._client.is_connected():
             raise UnavailableError(f"the broker {self._outage}")
-        if message["event"] == "fell" and message["id"] != self._last_fall:
+        if message["event"] == "fell" and message["id"] != self._fall_shown:
             self._fell_until = time.monotonic() + FELL_SHOWN_S
+            last_fall = f"{self._base}/last_fall"
             with self._changed:
                 self._state[self._fell] = json.dumps({**message, "state": "ON"})
+                self._state[last_fall] = message["time"]
+            self._retain(last_fall)
             self._retain(self._fell)
-            self._last_fall = message["id"]
+            self._fall_shown = message["id"]
         self._publish(f"{self._base}/events", json.dumps(message))
 
     def show(
@@ -213,17 +232,20 @@ class HomeAssistant:
     def _config(self, component: str, topic: str) -> str:
         return f"{DISCOVERY_PREFIX}/{component}/{self._device}/{topic.replace('/', '_')}/config"
 
-    def _announce(self, component: str, topic: str, name: str, **fields: str) -> None:
-        """Announce an entity of Home Assistant."""
+    def _announce(self, component: str, topic: str, name: str, **fields: Any) -> None:
+        """Announce an entity of Home Assistant; without the fields that are None."""
+        maker = {"manufacturer": "silhouette-pose", "model": "Camera", "sw_version": VERSION}
         config = {
             "name": name,
             "unique_id": f"{self._device}_{topic.replace('/', '_')}",
             "state_topic": f"{self._base}/{topic}",
             "availability_topic": self._available,
-            "device": {"identifiers": [self._device], "name": self._name},
+            "device": {"identifiers": [self._device], "name": self._name, **maker},
+            "origin": {"name": "silhouette-pose-watch", "sw_version": VERSION},
             **fields,
         }
-        self._state[self._config(component, topic)] = json.dumps(config)
+        given = {name: value for name, value in config.items() if value is not None}
+        self._state[self._config(component, topic)] = json.dumps(given)
 
     def _on_connect(
         self, _client: mqtt.Client, _data: Any, _flags: Any, answer: Any, _: Any

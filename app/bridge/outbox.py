@@ -12,10 +12,9 @@ from app.bridge.common import RefusedError, Trouble, UnavailableError, say
 
 Message = Mapping[str, Any]
 
-MAX_WAITING = 100_000
-"""Most events that wait for a receiver; beyond it, the oldest are dropped."""
-
+MAX_WAITING = 100_000  # For a receiver; beyond it, the oldest are dropped.
 _POLL_S = 0.2
+_WAITS = "--queue: {}: events wait in memory"
 # A message names its camera, and its id is that of no other camera.
 _SCHEMA = """
 create table if not exists waiting (
@@ -40,17 +39,17 @@ class Outbox:
         self._unsaved: dict[tuple[str, str], None] = {}
         self._trouble = Trouble(f"--queue: events are stored in {path} again")
         self._changed = threading.Condition()
-        if path is not None:
-            try:
+        is_open = False
+        try:
+            if path is not None:
                 self._database = sqlite3.connect(path, check_same_thread=False)
-            except sqlite3.Error as error:
-                raise _no_queue(path, error) from None
-            try:
+                is_open = True
                 self._load()
-            except sqlite3.OperationalError as error:  # A full disk, say.
-                self._trouble.report(f"--queue: {error}: events wait in memory")
-            except sqlite3.Error as error:
-                raise _no_queue(path, error) from None
+        except sqlite3.Error as error:
+            if not is_open or not isinstance(error, sqlite3.OperationalError):
+                expected = "--queue: expected a file for events"
+                raise OSError(f"{expected}, got {path}: {error}") from None
+            self._trouble.report(_WAITS.format(error))  # A full disk, say.
 
     def __len__(self) -> int:
         with self._changed:
@@ -111,13 +110,9 @@ class Outbox:
         if self._path is None:
             return False
         with self._changed:
-            put, taken = [], []
-            for receiver, message_id in self._unsaved:
-                message = self._waiting[receiver].get(message_id)
-                if message is None:
-                    taken.append((receiver, message_id))
-                else:
-                    put.append((receiver, message_id, json.dumps(message)))
+            waiting = {key: self._waiting[key[0]].get(key[1]) for key in self._unsaved}
+            taken = [key for key, message in waiting.items() if message is None]
+            put = [(*key, json.dumps(one)) for key, one in waiting.items() if one is not None]
             newest = (self._camera_id, self.newest)
             try:
                 with self._database as database:
@@ -128,15 +123,11 @@ class Outbox:
                     )
                     database.execute("insert or replace into newest values (?, ?)", newest)
             except sqlite3.Error as error:
-                self._trouble.report(f"--queue: {error}: events wait in memory")
+                self._trouble.report(_WAITS.format(error))
                 return False
             self._unsaved.clear()
             self._trouble.end()
             return True
-
-
-def _no_queue(path: Path, error: sqlite3.Error) -> OSError:
-    return OSError(f"--queue: expected a file for events, got {path}: {error}")
 
 
 def deliver(

@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import nullcontext
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bridge.common import Trouble, say
-from app.bridge.decoder import Decoder
-from app.video.frames import UnreadableError
+from app.decoding.videos import Decoder, VideoError
 
 # A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
 # that is earlier than the last begins anew, so none is refused for being late.
@@ -62,9 +61,9 @@ class Source:
         while True:
             try:
                 self._read_once()
-            except UnreadableError as error:
+            except VideoError as error:
                 if self.is_file:
-                    say(f"expected a whole video, got {error}")
+                    say(str(error))
             if self.is_file:
                 break
             # Its address may hold a password, anywhere.
@@ -91,10 +90,7 @@ class Source:
             self._number += 1
 
     def _time_of_day(self, moment: float) -> float:
-        """Unix seconds of a moment of the monotonic clock.
-
-        A machine may get the time after it has started, or be suspended.
-        """
+        """Unix seconds of the monotonic clock; a machine may get the time late, or be suspended."""
         clock_s = time.time() - time.monotonic()
         if abs(clock_s - self._clock_s) > _CLOCK_SET_S:
             say(f"the clock of this machine was set by {clock_s - self._clock_s:+.0f} s")
@@ -109,6 +105,11 @@ class Source:
                 yield 0.0, np.asarray(read[1], np.uint8)
             device.release()
             return
-        source = Path(self._source) if self.is_file else self._source
-        with closing(Decoder(source, self._interval_s)) as decoder:
-            yield from decoder.frames()
+        with Path(self._source).open("rb") if self.is_file else nullcontext(self._source) as source:
+            decoder = Decoder(source, interval_s=self._interval_s)
+        try:
+            for frame in decoder.frames():
+                yield frame.timestamp, frame.pixels
+        finally:
+            if complaint := decoder.close():
+                say(f"the source: {complaint}")

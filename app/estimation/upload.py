@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.decoding.workers import Allowance, Workers
+from app.decoding.pictures import Allowance, Workers
 from app.scheduling.job import Job
 from app.vision.geometry import Box
 from app.vision.images import (

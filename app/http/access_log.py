@@ -18,14 +18,12 @@ from app.http.routing import RequestState, RouteTable, request_id, request_state
 
 log = logging.getLogger("app.request")
 
-_HEADER = "X-Request-ID"
 _ACCEPTABLE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 
 
 class AccessLogMiddleware:
     """ASGI middleware, the outermost: request ids, log lines, metrics, and unhandled errors.
 
-    The table names the route that a request was meant for, even if the request is refused earlier.
     ``on_refused`` is called with the scope of a refused request and the reason.
     """
 
@@ -37,9 +35,7 @@ class AccessLogMiddleware:
         table: RouteTable,
         on_refused: Callable[[Scope, str], None] = lambda scope, reason: None,
     ) -> None:
-        self.app = app
-        self._metrics = metrics
-        self._table = table
+        self.app, self._metrics, self._table = app, metrics, table
         self._on_refused = on_refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -58,7 +54,7 @@ class AccessLogMiddleware:
             if message["type"] == "http.response.start":
                 notes.status = message["status"]
                 headers = MutableHeaders(scope=message)
-                headers[_HEADER] = identifier
+                headers["X-Request-ID"] = identifier
                 headers.update(notes.headers)
             await send(message)
 
@@ -97,7 +93,7 @@ class AccessLogMiddleware:
 
 
 def _given_id(scope: Scope) -> str | None:
-    value = dict(scope["headers"]).get(_HEADER.lower().encode(), b"")
+    value = dict(scope["headers"]).get(b"x-request-id", b"")
     return value.decode() if _ACCEPTABLE_ID.fullmatch(value) else None
 
 
@@ -137,9 +133,7 @@ def log_config(level: str) -> dict[str, Any]:
         "loggers": {
             "app": {"level": level.upper()},
             "uvicorn": {"level": level.upper()},
-            # The logger app.request replaces uvicorn's access log.
-            "uvicorn.access": {"level": "WARNING"},
-            # A broken form from a client gets a 400 and needs no log line.
-            "python_multipart": {"level": "ERROR"},
+            "uvicorn.access": {"level": "WARNING"},  # app.request replaces it.
+            "python_multipart": {"level": "ERROR"},  # A broken form gets a 400, no line.
         },
     }

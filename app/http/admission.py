@@ -1,8 +1,7 @@
 """Admission: limits on the origin, number, size, memory and duration of uploads and their replies.
 
-FastAPI reads a whole body before a route's code runs, so the limits are plain ASGI middleware. A
-refused upload costs neither parsing nor memory, so under overload the cores are left to accepted
-frames.
+FastAPI reads a whole body before a route's code runs, so this is plain ASGI middleware: a refused
+upload costs neither parsing nor memory.
 """
 
 import asyncio
@@ -18,18 +17,12 @@ from app.http.routing import RequestState, request_state
 from app.messages import shortened
 from app.scheduling.job import BusyError
 
-UPLOAD_GRACE_S = 5.0
-MIN_BYTES_PER_S = 4096
-"""An upload slower than this after the grace period is aborted."""
-
+# An upload slower than this after the grace period is aborted.
+UPLOAD_GRACE_S, MIN_BYTES_PER_S = 5.0, 4096
+# Share of the open uploads, and of their memory, that one caller may have.
 CALLER_SHARE = 0.75
-"""Share of the open uploads, and of their memory, that one caller may have."""
-
-STALLED_S = 1.0
-"""An upload without data for this long makes room for another one."""
-
-UNREAD_S = 10.0
-"""So does a reply that the client has not read in this time."""
+# An upload without data for so long makes room for another one, and so does an unread reply.
+STALLED_S, UNREAD_S = 1.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -71,7 +64,6 @@ class _Upload:
         return message
 
     async def send(self, message: Message, send: Send) -> None:
-        """Send a part of the reply; returns once most of it has left."""
         self.unsent = len(message.get("body", b""))
         self._waiting_since = asyncio.get_running_loop().time() + UNREAD_S - STALLED_S
         await send(message)
@@ -79,7 +71,6 @@ class _Upload:
 
     @property
     def held_bytes(self) -> int:
-        """Bytes that are kept in memory for it."""
         return self.received + self.unsent
 
     def silent_s(self) -> float:
@@ -115,11 +106,8 @@ class AdmissionMiddleware:
         max_open: int,
         origins: Collection[str] = (),
     ) -> None:
-        self.app = app
-        self._check = check
-        self._limits_of = limits_of
-        self._max_open = max_open
-        self._origins = origins
+        self.app, self._check, self._limits_of = app, check, limits_of
+        self._max_open, self._origins = max_open, origins
         self._uploads: set[_Upload] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -165,7 +153,6 @@ class AdmissionMiddleware:
         return None
 
     def _has_memory(self, upload: _Upload) -> bool:
-        """Whether there is memory for an upload to go on."""
         alike = [other for other in self._uploads if other.limits == upload.limits]
         most = upload.limits.max_held_bytes
         return _has_room(alike, lambda other: other.held_bytes, most, upload.caller)
@@ -177,10 +164,10 @@ class AdmissionMiddleware:
             try:
                 message = await upload.next(receive)
             except TimeoutError:
+                most = f"{upload.limits.upload_timeout_s:g} seconds, without a pause"
                 raise ProblemError(
                     408,
-                    f"expected the whole upload in {upload.limits.upload_timeout_s:g} seconds, "
-                    "without a pause",
+                    f"expected the whole upload in {most}",
                     reason="slow_upload",
                     headers={"Connection": "close"},
                 ) from None

@@ -13,17 +13,17 @@ from starlette.types import Receive, Scope, Send
 
 from app.api.schemas import Problem
 from app.camera import LateFrameError
+from app.cameras import NoSessionsError, TooManyCamerasError, UnknownCameraError
+from app.decoding.videos import VideoError
 from app.estimation.upload import UploadError
 from app.http.routing import RouteTable, request_state
 from app.messages import SEARCH_FAILED, expected_and_got, shortened
 from app.scheduling.job import BusyError, ClientGoneError
-from app.video.reader import VideoError
 from index.search import SearchUnavailableError
 
 MEDIA_TYPE = "application/problem+json"
 
-_SEARCH_RETRY_S = 2
-
+_A_CAMERA = "expected a camera that has sent frames of late or is configured"
 _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
 
 
@@ -64,6 +64,11 @@ def invalid(field: str, sentence: str) -> ProblemError:
     return ProblemError(422, f"{field}: {sentence}", field=field)
 
 
+def conflict(error: Exception, reason: str, field: str | None = None) -> ProblemError:
+    """Make the 409 for what does not go with the state of a camera."""
+    return ProblemError(409, str(error), reason=reason, field=field)
+
+
 def busy(error: BusyError) -> ProblemError:
     """Make the 503 for work that the service has no room for."""
     return overloaded(str(error), error.reason, error.retry_after_s)
@@ -71,15 +76,9 @@ def busy(error: BusyError) -> ProblemError:
 
 def problem_body(error: ProblemError) -> bytes:
     """Write an error as JSON."""
-    problem = Problem(
-        type="about:blank",
-        title=HTTPStatus(error.status).phrase,
-        status=error.status,
-        detail=error.detail,
-        reason=error.reason,
-        field=error.field,
-    )
-    return problem.model_dump_json(exclude_none=True).encode()
+    given = {"type": "about:blank", "title": HTTPStatus(error.status).phrase, **vars(error)}
+    del given["headers"]
+    return Problem.model_validate(given).model_dump_json(exclude_none=True).encode()
 
 
 class ProblemResponse(Response):
@@ -92,16 +91,13 @@ class ProblemResponse(Response):
         self._reason = error.reason
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send the response."""
+        """Send it."""
         request_state(scope).rejected_reason = self._reason
         await super().__call__(scope, receive, send)
 
 
 def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
-    """Answer all errors of an application, its own and the framework's, as problems.
-
-    A 404 or 405 names the paths and methods of the table.
-    """
+    """Answer all errors of an application, its own and the framework's, as problems."""
 
     def answer(kind: type[Exception], to_problem: Callable[[Any], ProblemError]) -> None:
         @app.exception_handler(kind)
@@ -112,14 +108,11 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
     answer(UploadError, lambda error: _upload_problem(error, error.field))
     answer(VideoError, lambda error: _upload_problem(error, "video"))
     answer(BusyError, busy)
-    answer(
-        LateFrameError,
-        lambda error: ProblemError(409, str(error), field="timestamp", reason="late_frame"),
-    )
-    answer(
-        SearchUnavailableError,
-        lambda error: overloaded(SEARCH_FAILED, "unavailable", _SEARCH_RETRY_S),
-    )
+    answer(LateFrameError, lambda error: conflict(error, "late_frame", "timestamp"))
+    answer(TooManyCamerasError, lambda error: conflict(error, "too_many_cameras"))
+    answer(NoSessionsError, lambda error: ProblemError(404, str(error), reason="no_sessions"))
+    answer(UnknownCameraError, lambda error: ProblemError(404, f"{_A_CAMERA}, got {error.args[0]}"))
+    answer(SearchUnavailableError, lambda _: overloaded(SEARCH_FAILED, "unavailable", 2))
     answer(RequestValidationError, _validation_problem)
 
     @app.exception_handler(ClientDisconnect)

@@ -2,14 +2,14 @@
 
 import hmac
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, NamedTuple, cast
 
 from fastapi import Depends, Header, Request, Security
 from fastapi.security import APIKeyHeader, HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import SecretStr
 from starlette.datastructures import Headers
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import Scope
 
 from app.http.errors import ProblemError
 
@@ -22,10 +22,7 @@ _FRAMES_PATH = re.compile("/cameras/([^/]+)/frames")
 
 
 class Caller(NamedTuple):
-    """The owner of requests: position of the API key among the configured ones, and address.
-
-    A proxy on this machine names the client's address in ``X-Forwarded-For``.
-    """
+    """The owner of requests: position of the API key among the configured ones, and address."""
 
     key: int | None
     address: str
@@ -52,41 +49,23 @@ class Identity(NamedTuple):
     has_key: bool = False
 
 
-class IdentityMiddleware:
-    """ASGI middleware that identifies each request once; see :func:`identity_of`."""
-
-    def __init__(self, app: ASGIApp, *, api_keys: Sequence[SecretStr]) -> None:
-        self.app = app
-        self._api_keys = api_keys
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request."""
-        if scope["type"] == "http":
-            scope.setdefault("state", {})["identity"] = identify(scope, self._api_keys)
-        await self.app(scope, receive, send)
-
-
 def identity_of(scope: Scope) -> Identity:
-    """Return the identity of a request that has passed :class:`IdentityMiddleware`."""
-    return cast(Identity, scope["state"]["identity"])
+    """Return the identity of a request, which is found out once."""
+    notes = scope.setdefault("state", {})
+    if "identity" not in notes:
+        notes["identity"] = identify(scope, scope["app"].state.api_keys)
+    return cast(Identity, notes["identity"])
 
 
 def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
     """Find out the identity of a request."""
-    given = list(keys_in_headers(scope))
+    headers = Headers(scope=scope)
+    scheme, _, token = headers.get("authorization", "").partition(" ")
+    given = [headers.get("x-api-key", ""), token if scheme.lower() == "bearer" else ""]
     key = position_of_key(api_keys, given)
     address, _ = scope.get("client") or ("", 0)
     is_authorised = not api_keys or key is not None
-    stream = _camera_stream(scope, key)
-    return Identity(Caller(key, address), stream, is_authorised, any(given))
-
-
-def keys_in_headers(scope: Scope) -> Iterator[str]:
-    """Yield the keys in a request's headers: ``X-API-Key`` and a bearer token."""
-    headers = Headers(scope=scope)
-    yield headers.get("x-api-key", "")
-    scheme, _, token = headers.get("authorization", "").partition(" ")
-    yield token if scheme.lower() == "bearer" else ""
+    return Identity(Caller(key, address), _camera_stream(scope, key), is_authorised, any(given))
 
 
 def position_of_key(api_keys: Sequence[SecretStr], given: Iterable[str | None]) -> int | None:

@@ -15,7 +15,7 @@ from prometheus_client import (
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
-from app.cameras import CameraTraffic
+from app.cameras import CameraTraffic, EndReason
 from app.estimation.results import Person
 from app.settings import Settings
 from app.tracking.results import Event
@@ -23,25 +23,10 @@ from app.tracking.results import Event
 # A frame with a mask takes milliseconds; a search for people takes a tenth of a second.
 _STEPS = (1, 1.5, 2.5, 5, 7.5)  # of every power of ten
 _SECONDS = tuple(float(f"{step}e{power}") for power in range(-4, 2) for step in _STEPS)
-_TENTHS = tuple(tenth / 10 for tenth in range(1, 11))
 _VIDEO_SECONDS = (1, 2.5, 5, 10, 30, 60, 120, 300, 600, 1200, 1800, 3600)
-_PERSONS = (0, 1, 2, 3, 5, 8, 13, 21, 34, 50)
 
 PROBES = ("/healthz", "/readyz", "/metrics")
 """Routes that are polled every few seconds; their durations are of no interest."""
-
-_SEQUENCE = "/sequence"
-
-
-def buckets_until(deadline_s: float) -> tuple[float, ...]:
-    """Return the bounds of a histogram of durations; the last is the deadline.
-
-    Examples
-    --------
-    >>> buckets_until(0.0004)
-    (0.0001, 0.00015, 0.00025, 0.0004)
-    """
-    return (*(bound for bound in _SECONDS if bound < deadline_s), deadline_s)
 
 
 class CameraCollector(Collector):
@@ -84,7 +69,7 @@ class Metrics:
         counter = partial(Counter, registry=self.registry)
         gauge = partial(Gauge, registry=self.registry)
         histogram = partial(Histogram, registry=self.registry)
-        durations = buckets_until(deadline_s)
+        durations = (*(bound for bound in _SECONDS if bound < deadline_s), deadline_s)
         # fmt: off
         self._requests = counter(
             "pose_requests", "Requests answered, by route and status.", ["route", "status"])
@@ -98,9 +83,11 @@ class Metrics:
         self._stages = histogram(
             "pose_stage_seconds", "Time of one frame in one stage.", ["stage"], buckets=durations)
         self._persons = histogram(
-            "pose_persons", "Persons in one frame.", buckets=_PERSONS)
+            "pose_persons", "Persons in one frame.",
+            buckets=(0, 1, 2, 3, 5, 8, 13, 21, 34, 50))
         self._confidence = histogram(
-            "pose_confidence", "Confidence of the best hypothesis of one person.", buckets=_TENTHS)
+            "pose_confidence", "Confidence of the best hypothesis of one person.",
+            buckets=[tenth / 10 for tenth in range(1, 11)])
         self.in_flight = gauge(
             "pose_in_flight", "Frames being processed or waiting.")
         self.capacity_used = gauge(
@@ -112,9 +99,9 @@ class Metrics:
         self._index = gauge(
             "pose_index_info", "Always 1; the labels say which index is loaded.",
             ["name", "version"])
-        self.sessions_started = counter(
+        self._sessions_started = counter(
             "pose_camera_sessions_started", "Camera sessions begun.")
-        self.sessions_ended = counter(
+        self._sessions_ended = counter(
             "pose_camera_sessions_ended", "Camera sessions ended, by reason.", ["reason"])
         self.camera_frames = counter(
             "pose_camera_frames", "Frames of cameras tracked, by whether their session was new.",
@@ -145,7 +132,7 @@ class Metrics:
     def observe_request(self, route: str, status: int, seconds: float, rejected: str) -> None:
         """Count a request, its duration, and why it was refused, ``""`` if it was not."""
         self._requests.labels(route, str(status)).inc()
-        if route == _SEQUENCE:
+        if route == "/sequence":
             self._sequence_seconds.observe(seconds)
         elif route not in PROBES:
             self._seconds.labels(route).observe(seconds)
@@ -170,6 +157,10 @@ class Metrics:
         for person in persons:
             if person.hypotheses:
                 self._confidence.observe(person.hypotheses[0].confidence)
+
+    def observe_session(self, reason: EndReason | None) -> None:
+        """Count a camera session that has begun, or ended for a reason."""
+        (self._sessions_ended.labels(reason) if reason else self._sessions_started).inc()
 
     def observe_events(self, events: Iterable[Event]) -> None:
         """Count the events of one frame; `end` states are not counted."""

@@ -21,18 +21,13 @@ from app.http.routing import request_state
 
 log = logging.getLogger("app.http")
 
+# Of the first line and the headers of a request, or of the headers after a body.
 MAX_HEAD_BYTES = 16 * 1024
-"""Of the first line and the headers of a request, or of the headers after a body."""
-
+# Of a body that the application has not asked for; then the network is not read.
 MAX_BUFFERED_BYTES = 64 * 1024
-"""Of a body that the application has not asked for; then the network is not read."""
-
-MAX_TINY_CHUNKS = 1000
-MIN_CHUNK_BYTES = 64
-"""Mean size from which chunks are not tiny."""
-
+# Chunks are tiny below this mean size.
+MAX_TINY_CHUNKS, MIN_CHUNK_BYTES = 1000, 64
 MIN_REPLY_BYTES_PER_S = 4096
-
 _REASONS = {status.value: status.phrase.encode() for status in HTTPStatus}
 
 
@@ -42,7 +37,7 @@ class HttpProtocol(asyncio.Protocol):
     A connection is closed if the head of a request is late or too large, or so are the headers
     after a body, or a body comes in tiny chunks, since all other clients wait while they are
     parsed; and if the client does not read a reply. What comes before the reply to an earlier
-    request is neither parsed nor, beyond a segment, read from the network until then.
+    request is neither parsed nor, beyond a segment, read.
     """
 
     head_timeout_s = 10.0
@@ -58,8 +53,7 @@ class HttpProtocol(asyncio.Protocol):
         _loop: asyncio.AbstractEventLoop | None = None,
     ) -> None:
         self.config, self.server, self.app_state = config, server_state, app_state
-        self.is_ending = False
-        """Whether the service is being stopped."""
+        self.is_ending = False  # Whether the service is being stopped.
         self._loop = _loop or asyncio.get_running_loop()
         self._exchange = _Exchange(self)
         self._received = b""  # What has not been parsed.
@@ -135,7 +129,7 @@ class HttpProtocol(asyncio.Protocol):
     def control_reading(self) -> None:
         """Read from the network only if there is room for what comes."""
         waits = self._exchange.is_received and bool(self._received)
-        pause = waits or self._exchange.buffered_bytes > MAX_BUFFERED_BYTES
+        pause = waits or len(self._exchange.body) > MAX_BUFFERED_BYTES
         if pause != self._is_paused and not self.transport.is_closing():
             self._is_paused = pause
             (self.transport.pause_reading if pause else self.transport.resume_reading)()
@@ -159,7 +153,6 @@ class HttpProtocol(asyncio.Protocol):
         self._start_timer(self.config.timeout_keep_alive, self._close)
 
     def _parse(self) -> None:
-        """Parse what has been received, up to the end of the current request."""
         try:
             while self._received and not self._exchange.is_received:
                 if self._exchange.is_begun:
@@ -232,7 +225,7 @@ class _Exchange:
     def __init__(self, connection: HttpProtocol) -> None:
         self._connection = connection
         self._http = h11.Connection(h11.SERVER, MAX_HEAD_BYTES)
-        self._body = bytearray()
+        self.body = bytearray()
         self._changed = asyncio.Event()
         self._chunks = self._body_bytes = 0
         self._is_delivered = self._is_lost = self._is_given_up = False
@@ -243,18 +236,8 @@ class _Exchange:
         """Whether a client waits for the reply, or the rest of it."""
         return self.is_begun and not self.is_answered
 
-    @property
-    def buffered_bytes(self) -> int:
-        """Bytes of the body that the application has not asked for."""
-        return len(self._body)
-
     def parse(self, data: bytes) -> bytes:
-        """Parse a part of the request; return what follows the request.
-
-        Raises
-        ------
-        ProblemError, h11.RemoteProtocolError
-        """
+        """Parse a part of the request; return what follows the request."""
         self._http.receive_data(data)
         while True:
             event = self._http.next_event()
@@ -323,7 +306,7 @@ class _Exchange:
             expected = f"chunks of at least {MIN_CHUNK_BYTES} bytes on average"
             raise ProblemError(400, f"expected {expected}, got {self._chunks} smaller ones")
         if not self.is_answered:
-            self._body += data.data
+            self.body += data.data
             self._changed.set()
 
     async def _run(self) -> None:
@@ -340,12 +323,12 @@ class _Exchange:
             await self._connection.write(
                 self._http.send(h11.InformationalResponse(status_code=100, headers=[]))
             )
-        while not (self._body or self.is_received > self._is_delivered or self._is_over):
+        while not (self.body or self.is_received > self._is_delivered or self._is_over):
             self._changed.clear()
             await self._changed.wait()
         if self._is_over:
             return {"type": "http.disconnect"}
-        body, self._body = bytes(self._body), bytearray()
+        body, self.body = bytes(self.body), bytearray()
         self._is_delivered = self.is_received
         self._connection.control_reading()
         return {"type": "http.request", "body": body, "more_body": not self.is_received}
@@ -374,7 +357,7 @@ class _Exchange:
             return
         await self._connection.write(part, self._http.send(h11.EndOfMessage()))
         self.is_answered = True
-        self._body.clear()
+        self.body.clear()
         self._changed.set()
         if not self._is_lost:
             self._connection.end_exchange(keep_alive=self._http.our_state is h11.DONE)

@@ -4,7 +4,7 @@ import re
 from collections.abc import Callable, Iterable
 from contextvars import ContextVar
 from dataclasses import dataclass, field
-from typing import cast
+from typing import NamedTuple, cast
 
 from starlette.routing import BaseRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
@@ -37,8 +37,7 @@ def request_state(scope: Scope) -> RequestState:
     return cast(RequestState, notes)
 
 
-@dataclass(frozen=True)
-class KnownRoute:
+class KnownRoute(NamedTuple):
     """A path as declared (``/index/entries/{entry}``), its pattern, and its methods in order."""
 
     path: str
@@ -75,25 +74,20 @@ def _known(route: BaseRoute) -> KnownRoute:
     # Mounted folders of files declare no methods.
     methods = set(getattr(route, "methods", None) or {"GET"})
     if "GET" in methods:
-        methods.add("HEAD")  # See HeadMiddleware.
+        methods.add("HEAD")  # See answering_head.
     return KnownRoute(route.path, route.path_regex, tuple(sorted(methods)))  # type: ignore[attr-defined]
 
 
-class HeadMiddleware:
+def answering_head(app: ASGIApp) -> ASGIApp:
     """ASGI middleware that answers HEAD as GET, without the body."""
 
-    def __init__(self, app: ASGIApp) -> None:
-        self.app = app
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request."""
-        if scope["type"] != "http" or scope["method"] != "HEAD":
-            await self.app(scope, receive, send)
-            return
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        is_head = scope["type"] == "http" and scope["method"] == "HEAD"
 
         async def send_without_body(message: Message) -> None:
-            if message["type"] == "http.response.body":
-                message = {**message, "body": b""}
-            await send(message)
+            await send({**message, "body": b""} if "body" in message else message)
 
-        await self.app({**scope, "method": "GET"}, receive, send_without_body)
+        seen = {**scope, "method": "GET"} if is_head else scope
+        await app(seen, receive, send_without_body if is_head else send)
+
+    return answer

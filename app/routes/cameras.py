@@ -1,8 +1,6 @@
 """Camera sessions: the frames of fixed cameras, in order, and the people in them over time."""
 
 from codecs import BOM_UTF8
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request
@@ -10,7 +8,7 @@ from fastapi.responses import Response
 from pydantic import ValidationError
 from starlette.types import Scope
 
-from app.api.replies import camera_reply, events_reply, settings_from, track_reply
+from app.api.replies import camera_reply, settings_from, tracked_fields
 from app.api.tracking_schemas import (
     MAX_CORNERS,
     MAX_NAME_CHARACTERS,
@@ -21,12 +19,12 @@ from app.api.tracking_schemas import (
     CameraState,
     TrackResponse,
 )
-from app.cameras import CameraKey, CameraSessions, NoSessionsError, TooManyCamerasError
+from app.cameras import CameraKey, CameraSessions, Wanted
 from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
-from app.routes.openapi import documented
+from app.routes.openapi import documented, documented_json
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
@@ -103,25 +101,25 @@ async def track_frame(
     or has switched to another index.
     """
     runtime = runtime_of(request)
-    with _kept():
-        runtime.sessions.check_kept()
+    runtime.sessions.check_kept()
     estimator, sessions = estimator_for(runtime.ready_estimator(), query), runtime.sessions
-    upload, times = query.of(frame.upload), [frame.timestamp, query.seconds(), query.timestamp]
-    given = [time for time in times if time is not None]
+    upload, milliseconds = query.of(frame.upload), query.timestamp_ms
+    seconds = None if milliseconds is None else milliseconds / 1000
+    given = [time for time in (frame.timestamp, query.timestamp, seconds) if time is not None]
     if len(given) > 1:
         raise invalid("timestamp", "expected a form field or a query parameter, got both")
     timestamp = given[0] if given else None
 
     def work(job: Job) -> bytes:
-        tracked = sessions.process(
-            camera, estimator, upload, timestamp, hypotheses_of(query), job, query.evidence
-        )
+        wanted = Wanted(hypotheses_of(query), query.evidence)
+        tracked = sessions.process(camera, estimator, upload, timestamp, job, wanted)
         _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
         runtime.metrics.observe_events(tracked.events)
         runtime.metrics.observe_stages(tracked.timings_ms)
         runtime.metrics.observe_persons(tracked.persons)
-        reply = track_reply(tracked, camera.camera_id, estimator.index, query.form)
+        fields = tracked_fields(tracked, estimator.index, query.form)
+        reply = TrackResponse(camera_id=camera.camera_id, **fields)
         return reply.model_dump_json().encode()
 
     # The first frame of a session takes longer.
@@ -151,8 +149,7 @@ async def list_cameras(request: Request) -> CameraList:
 )
 async def get_camera(request: Request, camera: Camera) -> CameraState:
     """Get the configuration of a camera and the state of its session."""
-    with _known(camera):
-        return camera_reply(runtime_of(request).sessions.summary(camera))
+    return camera_reply(runtime_of(request).sessions.summary(camera))
 
 
 @router.get(
@@ -167,29 +164,24 @@ async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
 
     They are kept as long as the camera has a session or a configuration.
     """
-    with _known(camera):
-        return events_reply(camera.camera_id, runtime_of(request).sessions.events(camera))
-
-
-# Values of a configuration: all corners of all zones, and commas in their names.
-_MAX_VALUES = 2 * MAX_ZONES * (MAX_CORNERS + MAX_NAME_CHARACTERS)
+    events = runtime_of(request).sessions.events(camera)
+    return CameraEvents.model_validate({"camera_id": camera.camera_id, "events": events})
 
 
 # The configuration is parsed here, after the key is checked, so that any error is one sentence.
 async def _read_configuration(request: Request) -> CameraConfiguration:
     body = await request.body()
-    # Values are counted before they are parsed: a hundred thousand would keep all other clients
-    # waiting.
-    if (count := body.count(b",")) > _MAX_VALUES:
+    # All corners of all zones, and commas in their names. They are counted before they are parsed,
+    # which would keep all other clients waiting.
+    if (count := body.count(b",")) > 2 * MAX_ZONES * (MAX_CORNERS + MAX_NAME_CHARACTERS):
         most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
         raise invalid("zones", f"expected {most}, got {count} values")
     try:
         return CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
-        raise ProblemError(
-            422, f"{place}: {sentence}" if place else sentence, field=place or None
-        ) from None
+        detail = f"{place}: {sentence}" if place else sentence
+        raise ProblemError(422, detail, field=place or None) from None
 
 
 @router.put(
@@ -201,9 +193,7 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": {
-                "application/json": {"schema": {"$ref": "#/components/schemas/CameraConfiguration"}}
-            },
+            "content": documented_json(CameraConfiguration),
         }
     },
 )
@@ -220,12 +210,8 @@ async def configure_camera(
     file. A caller may configure as many cameras as there may be sessions; beyond that, one that has
     sent no frame is forgotten for the new one.
     """
-    try:
-        with _kept():
-            settings = settings_from(configuration)
-            return camera_reply(runtime_of(request).sessions.configure(camera, settings))
-    except TooManyCamerasError as error:
-        raise ProblemError(409, str(error), reason="too_many_cameras") from None
+    settings = settings_from(configuration)
+    return camera_reply(runtime_of(request).sessions.configure(camera, settings))
 
 
 @router.delete(
@@ -244,27 +230,4 @@ async def forget_camera(request: Request, camera: Camera) -> None:
     A configuration in the service's file applies again. To remove only the zones, set an empty
     list.
     """
-    with _known(camera):
-        runtime_of(request).sessions.forget(camera)
-
-
-@contextmanager
-def _kept() -> Iterator[None]:
-    """Answer 404 if the service keeps no sessions."""
-    try:
-        yield
-    except NoSessionsError as error:
-        raise ProblemError(404, str(error), reason="no_sessions") from None
-
-
-@contextmanager
-def _known(camera: CameraKey) -> Iterator[None]:
-    """Answer 404 if the sessions do not know a camera."""
-    try:
-        yield
-    except KeyError:
-        raise ProblemError(
-            404,
-            "expected a camera that has sent frames of late or is configured, "
-            f"got {camera.camera_id}",
-        ) from None
+    runtime_of(request).sessions.forget(camera)

@@ -6,7 +6,12 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
-from app.api.tracking_schemas import CameraConfiguration, TrackUpload, VideoUpload
+from app.api.tracking_schemas import (
+    CameraConfiguration,
+    SequenceResponse,
+    TrackUpload,
+    VideoUpload,
+)
 from app.http.errors import MEDIA_TYPE
 
 _FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
@@ -46,9 +51,8 @@ HEADERS: dict[str, Any] = {
 def add_openapi(app: FastAPI) -> None:
     """Make ``app`` describe its errors, and its uploads so that generated clients work.
 
-    Routes refer to :class:`Problem` by name: if they declared the model, FastAPI would also promise
-    ``application/json``. Routes that take images refer to their forms by name because they parse
-    them themselves.
+    Routes refer to these by name: of a declared error, FastAPI would also promise
+    ``application/json``, and forms are parsed by the routes themselves.
     """
     generate = app.openapi
 
@@ -57,10 +61,10 @@ def add_openapi(app: FastAPI) -> None:
             document = generate()
             components = document["components"]
             components["headers"] = HEADERS
-            for model in (Problem, CameraConfiguration, *_FORMS):
+            for model in (Problem, CameraConfiguration, SequenceResponse, *_FORMS):
                 schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
-                components["schemas"].update(schema.pop("$defs", {}))
-                components["schemas"][model.__name__] = schema
+                for name, part in (*schema.pop("$defs", {}).items(), (model.__name__, schema)):
+                    components["schemas"].setdefault(name, part)
             for name, schema in components["schemas"].items():
                 _mend_schema(name, schema)
             for path in document["paths"].values():
@@ -104,6 +108,10 @@ def _mend_operation(operation: dict[str, Any]) -> None:
     for status, response in operation["responses"].items():
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
         names += ["X-Session"] * (operation["operationId"] == "track_frame")
+        if "content" in response:  # JSON first: generated clients take it.
+            response["content"] = dict(
+                sorted(response["content"].items(), key=lambda item: item[0] != "application/json")
+            )
         for content in response.get("content", {}).values():
             if "anyOf" in content["schema"]:
                 # FastAPI also describes lines of JSON as a string.
@@ -142,6 +150,11 @@ def documented_form(form: type[BaseModel], or_a_file: str = "") -> dict[str, Any
         body["description"] = or_a_file
         body["content"].update(BINARY)
     return {"requestBody": {"required": True, **body}}
+
+
+def documented_json(model: type[BaseModel]) -> dict[str, Any]:
+    """Describe content of type JSON by the name of its model."""
+    return {"application/json": {"schema": {"$ref": f"#/components/schemas/{model.__name__}"}}}
 
 
 def documented(*statuses: int) -> dict[int | str, dict[str, Any]]:

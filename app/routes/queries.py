@@ -30,14 +30,13 @@ from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
 _MAX_NAME_CHARACTERS = 60
+_LATEST_MS = round(1000 * LATEST_TIMESTAMP_S)
 
 
 def _check_seconds(timestamp: float) -> float:
     if timestamp > LATEST_TIMESTAMP_S:
-        raise ValueError(
-            f"expected seconds, at most {LATEST_TIMESTAMP_S:.0f}, got {timestamp:.15g}; "
-            "divide milliseconds by 1000"
-        )
+        most = f"seconds, at most {LATEST_TIMESTAMP_S:.0f}"
+        raise ValueError(f"expected {most}, got {timestamp:.15g}; divide milliseconds by 1000")
     return timestamp
 
 
@@ -46,11 +45,6 @@ Timestamp = Annotated[
     Field(ge=0, json_schema_extra={"maximum": LATEST_TIMESTAMP_S}),
     NUMBER,
     AfterValidator(_check_seconds),
-]
-
-_Milliseconds = Annotated[
-    int,
-    Field(ge=0, le=round(1000 * LATEST_TIMESTAMP_S), json_schema_extra={"format": "int64"}),
 ]
 
 _HypothesisCount = Annotated[
@@ -78,10 +72,8 @@ _Method = Annotated[
     Method | None,
     Field(
         description="`networks`: networks find people and read keypoints; `paper`: the method of "
-        "Atrevi et al. (2016), people by HOG, silhouettes by GrabCut, and the entries nearest to "
-        "them in the order of their distances, which takes no network and goes with "
-        "`evidence=silhouette` alone. By default the method of the service, `networks` unless "
-        "`POSE_METHOD` says otherwise.",
+        "Atrevi et al. (2016), people by HOG, silhouettes by GrabCut, and the nearest entries, "
+        "with `evidence=silhouette` alone. By default what `POSE_METHOD` says.",
         examples=["networks"],
     ),
 ]
@@ -96,10 +88,9 @@ _Segmenter = Annotated[
 _Joints = Annotated[
     JointForm,
     Field(
-        description="How joints are written: `full`, an object for each; `compact`, plain "
-        "numbers in `joints_3d_flat` and `joints_2d_flat`, which are shorter; `none`, not "
-        "at all, if only boxes, silhouettes or entries are wanted. In replies about cameras and "
-        "videos, `none` also leaves out hypotheses and poses, which takes less time.",
+        description="How joints are written: `full`, an object for each; `compact`, plain numbers "
+        "in `joints_3d_flat` and `joints_2d_flat`; `none`, not at all. In replies about cameras "
+        "and videos, `none` also leaves out hypotheses and poses, which takes less time.",
         examples=["full"],
     ),
 ]
@@ -192,9 +183,8 @@ class PoseQuery(_CameraQuery):
     @property
     def form(self) -> ReplyForm:
         """The form of the reply."""
-        return ReplyForm(
-            KEYPOINT_SETS[self.keypoints], self.silhouettes, self.joints, self.observed
-        )
+        chosen = KEYPOINT_SETS[self.keypoints]
+        return ReplyForm(chosen, self.silhouettes, self.joints, self.observed)
 
 
 class SilhouetteQuery(_Query):
@@ -222,7 +212,7 @@ class TrackQuery(PoseQuery):
         ),
     ] = None
     timestamp_ms: Annotated[
-        _Milliseconds | None,
+        Annotated[int, Field(ge=0, le=_LATEST_MS, json_schema_extra={"format": "int64"})] | None,
         Field(
             description="The timestamp in milliseconds instead, for clients that write fractions "
             "with 32 bits.",
@@ -230,10 +220,6 @@ class TrackQuery(PoseQuery):
         ),
         WHOLE_NUMBER,
     ] = None
-
-    def seconds(self) -> float | None:
-        """The timestamp given in milliseconds, if there is one."""
-        return None if self.timestamp_ms is None else self.timestamp_ms / 1000
 
 
 class SequenceQuery(_CameraQuery):

@@ -4,28 +4,33 @@ import asyncio
 import shutil
 from collections.abc import AsyncIterator
 from contextlib import aclosing, asynccontextmanager
-from dataclasses import dataclass
-from typing import IO, Annotated
+from typing import IO, Annotated, NamedTuple
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Receive, Scope, Send
 
-from app.api.replies import sequence_end_reply, sequence_frame_reply, sequence_line
-from app.api.tracking_schemas import SequenceLine, VideoUpload
+from app.api.replies import tracked_fields
+from app.api.tracking_schemas import (
+    SequenceEnd,
+    SequenceFrame,
+    SequenceLine,
+    SequenceResponse,
+    VideoUpload,
+)
 from app.camera import CameraSession
+from app.decoding import Frame
+from app.decoding.videos import NextFrame, new_file, open_video
 from app.film import VideoRun
 from app.http.errors import invalid
 from app.http.identity import RequireKey, identity_of
 from app.http.routing import request_state
-from app.routes.openapi import BINARY, documented, documented_form
+from app.routes.openapi import BINARY, documented, documented_form, documented_json
 from app.routes.queries import GivenOnce, SequenceQuery, estimator_for, hypotheses_of
 from app.routes.uploads import MULTIPART, check_fields, form_of, has_type, unsupported_body
 from app.serving import runtime_of
 from app.tracking.results import TrackedFrame
-from app.video import Frame
-from app.video.reader import VideoReader, new_file, open_video
 
 PATH = "/sequence"
 _BODY_TYPES = ("video/", "image/gif", "multipart/x-mixed-replace", "application/octet-stream")
@@ -63,12 +68,11 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
         yield file
 
 
-@dataclass(frozen=True)
-class _OpenVideo:
+class _OpenVideo(NamedTuple):
     """A video whose first frame could be read."""
 
-    reader: VideoReader
     first: Frame
+    next_frame: NextFrame
 
 
 async def _open(
@@ -83,10 +87,10 @@ async def _open(
         with runtime.sequence(caller):
             async with open_video(
                 file, query.stride, settings.max_pixels, settings.sequence_timeout_s
-            ) as reader:
-                first = await reader.next()
+            ) as next_frame:
+                first = await next_frame()
                 assert first is not None
-                yield _OpenVideo(reader, first)
+                yield _OpenVideo(first, next_frame)
 
 
 @router.post(
@@ -97,9 +101,10 @@ async def _open(
     responses={
         200: {
             "description": "A line of JSON for each frame as soon as it is done, and a last line "
-            "of type `end`; its type is always `application/x-ndjson`.",
+            "of type `end`, as `application/x-ndjson`; with `Accept: application/json`, the same "
+            "as one document.",
             "model": SequenceLine,
-            "content": {**BINARY},
+            "content": {**BINARY, **documented_json(SequenceResponse)},
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
@@ -118,8 +123,9 @@ async def analyse_sequence(
 
     The reply comes line by line while the video is processed: one line of type `frame` for each
     frame, like the reply of `/cameras/{camera_id}/frames`, and a last line of type `end` with
-    tracks, events and the reason why the reply ends there. Live frames of cameras take their turn
-    in between.
+    tracks, events and the reason why the reply ends there. With `Accept: application/json`, and no
+    other type in it, the reply is one document of both. Live frames of cameras take their turn in
+    between.
     """
     runtime = runtime_of(request)
     most = runtime.settings.max_sequence_frames
@@ -127,9 +133,9 @@ async def analyse_sequence(
         raise invalid("max_frames", f"expected at most {most}, got {query.max_frames}")
     estimator, metrics = estimator_for(runtime.ready_estimator(), query), runtime.metrics
     run = VideoRun(
-        CameraSession(estimator),
-        runtime.executor,
-        identity_of(request.scope).caller,
+        session=CameraSession(estimator),
+        executor=runtime.executor,
+        caller=identity_of(request.scope).caller,
         kind=PATH,
         n=hypotheses_of(query),
         evidence=query.evidence,
@@ -141,16 +147,41 @@ async def analyse_sequence(
     def write(tracked: TrackedFrame, number: int) -> bytes:
         metrics.observe_stages(tracked.timings_ms)
         metrics.observe_persons(tracked.persons)
-        return sequence_line(sequence_frame_reply(tracked, number, estimator.index, query.form))
+        fields = tracked_fields(tracked, estimator.index, query.form)
+        frame = SequenceFrame(type="frame", video_frame=number, **fields)
+        return frame.model_dump_json().encode()
 
     def is_ending() -> bool:
         return request_state(request.scope).is_ending
 
-    async def lines() -> AsyncIterator[bytes]:
-        async with aclosing(run.lines(video.first, video.reader, write, is_ending)) as frames:
-            async for line in frames:
-                yield line
-        assert run.end is not None
-        yield sequence_line(sequence_end_reply(run.summary, run.end))
+    is_document = request.headers.get("accept") == "application/json"
 
-    return LineStream(lines())
+    async def parts() -> AsyncIterator[bytes]:
+        # A document is written while it grows: none is kept in memory.
+        before, after, between = (b"", b"", b",") if is_document else (b"", b"\n", b"")
+        if is_document:
+            yield b'{"frames":['
+        async with aclosing(run.lines(*video, write, is_ending)) as frames:
+            async for line in frames:
+                yield before + line + after
+                before = between
+        end = _end_of(run).model_dump_json().encode()
+        yield b'],"end":' + end + b"}" if is_document else end + after
+
+    return LineStream(parts(), media_type="application/json" if is_document else None)
+
+
+def _end_of(run: VideoRun) -> SequenceEnd:
+    summary, end = run.summary, run.end
+    assert end is not None
+    return SequenceEnd.model_validate(
+        {
+            "type": "end",
+            "reason": end.reason,
+            "detail": end.detail,
+            "frames": summary.frames,
+            "damaged": summary.damaged,
+            "tracks": [track for _, track in sorted(summary.tracks.items())],
+            "events": summary.events,
+        }
+    )

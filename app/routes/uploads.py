@@ -47,16 +47,13 @@ _FILES = ("frame", "mask", "background", "image")
 
 
 class _FormParser(MultiPartParser):
-    """Starlette's parser, which keeps all files in memory and notices where a form was cut off.
-
-    Some clients send no filename, which Starlette would take for text.
-    """
+    """Starlette's parser, which keeps all files in memory and notices where a form was cut off."""
 
     spool_max_size = 2**62  # Admission limits uploads: no photograph reaches a disk.
     is_complete = False
 
     def on_headers_finished(self) -> None:
-        """Make a file of a part by its name alone."""
+        """Make a file of a part by its name alone: some clients send no filename."""
         part = self._current_part
         _, options = parse_options_header(part.content_disposition)
         if options.get(b"name", b"").decode("latin-1") in _FILES and b"filename" not in options:
@@ -78,9 +75,8 @@ async def form_of(request: Request) -> AsyncIterator[FormData]:
     try:
         form = await parser.parse()
     except MultiPartException:
-        raise _broken_form(
-            f"expected a well-formed {MULTIPART} body of at most 1000 parts"
-        ) from None
+        such = f"a well-formed {MULTIPART} body of at most 1000 parts"
+        raise _broken_form(f"expected {such}") from None
     try:
         if not parser.is_complete:
             raise _broken_form("expected a form that ends with its boundary, got a part of one")
@@ -146,9 +142,16 @@ DOCUMENTED_UPLOAD = documented_form(FrameUpload, _OR_A_PHOTOGRAPH)
 DOCUMENTED_TRACK_UPLOAD = documented_form(TrackUpload, _OR_A_PHOTOGRAPH)
 
 
-async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, float | None]:
+class TrackedUpload(NamedTuple):
+    """A frame of a camera, and the form's timestamp in seconds, if it has one."""
+
+    upload: Upload
+    timestamp: float | None = None
+
+
+async def _read(request: Request, model: type[FrameUpload]) -> TrackedUpload:
     if has_type(request, "image/") or has_type(request, "application/octet-stream"):
-        return Upload(await request.body()), None
+        return TrackedUpload(Upload(await request.body()))
     if not has_type(request, MULTIPART):
         raise unsupported_body(request, f"{MULTIPART} or image/*")
     async with form_of(request) as form:
@@ -162,40 +165,27 @@ async def _read(request: Request, model: type[FrameUpload]) -> tuple[Upload, flo
             boxes=_parse_boxes(boxes, settings) if boxes else None,
             track_ids=_parse_track_ids(track_ids, settings) if track_ids else None,
         )
-        return upload, None if timestamp is None else _parse_timestamp(timestamp)
+        try:
+            seconds = None if timestamp is None else _TIMESTAMP.validate_python(timestamp)
+            return TrackedUpload(upload, seconds)
+        except ValidationError as error:
+            raise invalid("timestamp", expected_and_got(error.errors()[0])) from None
 
 
 async def _read_upload(request: Request) -> Upload:
-    return (await _read(request, FrameUpload))[0]
-
-
-UploadForm = Annotated[Upload, Depends(_read_upload)]
-
-
-class TrackedUpload(NamedTuple):
-    """A frame of a camera, and the form's timestamp in seconds, if it has one."""
-
-    upload: Upload
-    timestamp: float | None
+    return (await _read(request, FrameUpload)).upload
 
 
 async def _read_track_upload(request: Request) -> TrackedUpload:
-    return TrackedUpload(*await _read(request, TrackUpload))
+    return await _read(request, TrackUpload)
 
 
+UploadForm = Annotated[Upload, Depends(_read_upload)]
 TrackUploadForm = Annotated[TrackedUpload, Depends(_read_track_upload)]
 
 
-def _parse_timestamp(text: str) -> float:
-    try:
-        return _TIMESTAMP.validate_python(text)
-    except ValidationError as error:
-        raise invalid("timestamp", expected_and_got(error.errors()[0])) from None
-
-
 def _parse_boxes(text: str, settings: Settings) -> list[Box]:
-    # Boxes are counted before they are parsed: hundreds of thousands would keep all other clients
-    # waiting.
+    # They are counted before they are parsed, which would keep all other clients waiting.
     count, most = text.count("[") - 1, settings.max_persons
     if count > most:
         raise UploadError("boxes", f"expected at most {most} persons, got {count}")
@@ -204,11 +194,8 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
         boxes = _BOXES.validate_json(text)
     except ValidationError as error:
         place, sentence = located(error)
-        raise ProblemError(
-            422,
-            f"boxes{place}: {sentence}; boxes are a JSON list of [x, y, width, height]",
-            field="boxes",
-        ) from None
+        such = "boxes are a JSON list of [x, y, width, height]"
+        raise ProblemError(422, f"boxes{place}: {sentence}; {such}", field="boxes") from None
     for position, (_, _, width, height) in enumerate(boxes):
         if not (width > 0 and height > 0):
             got = f"box {position}: {boxes[position]}"
@@ -228,8 +215,6 @@ def _parse_track_ids(text: str, settings: Settings) -> list[str]:
     try:
         return [str(track_id) for track_id in _TRACK_IDS.validate_json(text)]
     except ValidationError:
-        raise invalid(
-            "track_ids",
-            f"expected a JSON list of texts of 1 to {MAX_TRACK_ID_CHARACTERS} characters or whole "
-            f"numbers of 64 bits, got {shortened(text)}",
-        ) from None
+        such = f"texts of 1 to {MAX_TRACK_ID_CHARACTERS} characters or whole numbers of 64 bits"
+        expected = f"expected a JSON list of {such}, got {shortened(text)}"
+        raise invalid("track_ids", expected) from None

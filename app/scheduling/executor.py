@@ -1,15 +1,11 @@
 """The threads that do all work on images, in two roles.
 
 Frames (:meth:`Executor.run`)
-    Whole requests: a bounded number at a time, the others in
-    :class:`app.scheduling.queue.FairQueue`. A frame has a deadline and is dropped when its client
-    disconnects.
+    Whole requests: a bounded number at a time, the others in a queue. A frame has a deadline and is
+    dropped when its client disconnects. It must not start another frame.
 Parts (:meth:`Executor.map`)
-    The people of a frame, or its images. The frame's own thread processes them. While fewer frames
-    are in progress than are allowed, other threads, the helpers, take parts too. A new frame never
-    waits for helpers: it gets a thread of its own.
-
-The work on a frame must not start another frame: it would wait for a thread that may never be free.
+    The people of a frame, or its images, on the frame's own thread. While fewer frames are in
+    progress than are allowed, helpers take parts too; a new frame never waits for them.
 """
 
 import asyncio
@@ -19,7 +15,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from contextvars import copy_context
 from functools import partial
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from app.scheduling.job import ClientGoneError, Job
 from app.scheduling.process import lower_thread_priority
@@ -31,10 +27,10 @@ Result = TypeVar("Result")
 
 
 class Executor:
-    """Processes a bounded number of frames at a time; the others wait in a queue.
+    """Processes a bounded number of frames at a time.
 
     A frame waits at most ``max_wait_s`` until its work begins, and takes at most ``timeout_s``,
-    waiting included. Threads start when needed.
+    waiting included.
     """
 
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
@@ -81,7 +77,8 @@ class Executor:
     ) -> None:
         """Wait until a frame may begin; if it may not, release its ticket and raise the error."""
         try:
-            await _first_of(ticket.begun, gone, max_wait_s)
+            both = (ticket.begun, gone)
+            await asyncio.wait(both, timeout=max_wait_s, return_when=asyncio.FIRST_COMPLETED)
             if not ticket.begun.done():
                 raise ClientGoneError if gone.done() else self.queue.expire(ticket)
             if (make_error := ticket.begun.result()) is not None:
@@ -151,9 +148,3 @@ class Executor:
 
         future.add_done_callback(end)
         return future
-
-
-async def _first_of(
-    one: asyncio.Future[Any], other: asyncio.Future[Any], timeout_s: float | None = None
-) -> None:
-    await asyncio.wait((one, other), timeout=timeout_s, return_when=asyncio.FIRST_COMPLETED)

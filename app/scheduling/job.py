@@ -39,9 +39,6 @@ class DeadlineError(BusyError):
 class ClientGoneError(Exception):
     """The client has closed the connection."""
 
-    def __init__(self) -> None:
-        super().__init__("the client closed the connection")
-
 
 class ParallelMap(Protocol):
     """Calls a function with each item and returns the results in order."""

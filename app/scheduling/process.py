@@ -1,11 +1,7 @@
 """The operating system's settings of this process: memory, cores, priorities.
 
-Memory: by default, glibc keeps a heap per thread. When the first large array is freed, it also
-raises the size above which it returns memory. After a few frames, the service would hold 1.5 times
-what it uses.
-
-Priorities: one thread answers requests, others work on frames. The first has little to do, but
-every client waits for it, so it takes precedence.
+By default, glibc keeps a heap per thread, and raises the size above which it returns memory when
+the first large array is freed: after a few frames, the service would hold 1.5 times what it uses.
 """
 
 import ctypes
@@ -15,13 +11,11 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import cast
 
-ROOT = Path("/")
-"""Folder of ``proc`` and ``sys``."""
+ROOT = Path("/")  # Folder of `proc` and `sys`.
 
 
 def available_cores() -> int:
@@ -66,67 +60,42 @@ def _read(file: Path) -> str:
         return ""
 
 
-# Names and numbers from glibc's malloc.h.
-_M_TRIM_THRESHOLD = -1
-_M_MMAP_THRESHOLD = -3
-_M_ARENA_MAX = -8
-
-# This is larger than the pixels of a usual frame: pages that are returned after a frame have to be
-# fetched again for the next one, which costs more than decoding it.
-_TRIM_THRESHOLD_BYTES = 8 * 1024**2
-_ARENAS = 2
+# From glibc's malloc.h: M_TRIM_THRESHOLD, M_MMAP_THRESHOLD and M_ARENA_MAX. The thresholds are
+# larger than the pixels of a usual frame: pages that are returned after it have to be fetched again
+# for the next one, which costs more than decoding it.
+_MALLOC_OPTIONS = {-1: 8 * 1024**2, -3: 8 * 1024**2, -8: 2}
 
 # Longest time a thread holds the interpreter while another waits for it. The event loop's thread
 # waits after every system call, several times a request; Python's default is 5 ms.
 _SWITCH_INTERVAL_S = 0.001
 
-_NICENESS = 5
+_NICENESS = 5  # Of threads that work on frames: every client waits for the one that answers.
 
 
 def configure_process() -> None:
     """Set up a server's process. Programs that only import the service stay unchanged."""
-    # OpenCV is imported here because reading the settings needs `available_cores` but no native
-    # library.
-    import cv2
+    import cv2  # Not above: reading the settings needs `available_cores` but no native library.
 
-    _configure_malloc()
+    # glibc reads its environment variables before Python can set them.
+    for option, value in _MALLOC_OPTIONS.items():
+        _call_glibc("mallopt", option, value)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     cv2.setNumThreads(1)  # The executor's threads share the work already.
 
 
-def _configure_malloc() -> None:
-    """Bound glibc's heaps, where glibc is the C library.
-
-    This calls ``mallopt``, since glibc reads its environment variables before Python can set them:
-    in the Dockerfile or the unit file they would not reach a plain ``python -m app``.
-    """
-    mallopt = _glibc("mallopt")
-    if mallopt is not None:
-        mallopt(_M_ARENA_MAX, _ARENAS)
-        mallopt(_M_MMAP_THRESHOLD, _TRIM_THRESHOLD_BYTES)
-        mallopt(_M_TRIM_THRESHOLD, _TRIM_THRESHOLD_BYTES)
-
-
 def trim_heap() -> None:
     """Return free memory to the system, where glibc is the C library; takes about 1 ms."""
-    malloc_trim = _glibc("malloc_trim")
-    if malloc_trim is not None:
-        malloc_trim(0)
+    _call_glibc("malloc_trim", 0)
 
 
-def _glibc(function: str) -> Callable[..., int] | None:
-    try:
-        return cast(Callable[..., int], getattr(ctypes.CDLL("libc.so.6"), function))
-    except (OSError, AttributeError):
-        return None
+def _call_glibc(function: str, *arguments: int) -> None:
+    with suppress(OSError, AttributeError):  # Another C library.
+        getattr(ctypes.CDLL("libc.so.6"), function)(*arguments)
 
 
 @contextmanager
 def native_lines_logged(log: logging.Logger) -> Iterator[None]:
-    """Log what native libraries write to standard error, so that every line is JSON.
-
-    The networks' runtime offers no other way to silence it.
-    """
+    """Log what native libraries write to standard error: the networks' runtime is never silent."""
     if sys.platform != "linux":
         yield
         return
@@ -144,14 +113,11 @@ def native_lines_logged(log: logging.Logger) -> Iterator[None]:
 
 
 def freeze_loaded_objects() -> None:
-    """Exclude the objects loaded so far from garbage collection.
-
-    Traversing them all would stop every thread for tens of milliseconds.
-    """
+    """Exclude the objects loaded so far from garbage collection, which stops every thread."""
     gc.collect()
     gc.freeze()
-    # Python delays a full collection until the objects have grown by a quarter since the last one.
-    # This one finds next to nothing, so garbage from requests is collected soon.
+    # Python delays a full collection until the objects have grown by a quarter since the last one,
+    # which here finds next to nothing.
     gc.collect()
 
 

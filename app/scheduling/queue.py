@@ -29,10 +29,8 @@ from typing import NamedTuple
 
 from app.scheduling.job import BusyError
 
+# Share of the longest wait up to which frames are admitted; the rest is the estimates' error.
 ADMIT_SHARE = 0.75
-"""Share of the longest wait up to which frames are admitted; the rest is about the error of
-estimated waits."""
-
 _UNMEASURED_S = 0.1  # Assumed duration of a kind of work that has not been measured yet.
 _NEWEST_WEIGHT = 0.2  # Weight of the newest duration in the running mean.
 _MAX_CALLERS = 1000  # Above this, callers without a waiting frame are forgotten.
@@ -51,10 +49,8 @@ class SupersededError(BusyError):
     reason = "superseded"
 
     def __init__(self) -> None:
-        super().__init__(
-            "a newer frame of this camera has taken the place of this one, which still waited",
-            retry_after_s=None,
-        )
+        newer = "a newer frame of this camera has taken the place of this one, which still waited"
+        super().__init__(newer, retry_after_s=None)
 
 
 class ShutdownError(BusyError):

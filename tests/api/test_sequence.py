@@ -11,7 +11,7 @@ import httpx
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.tracking_schemas import SequenceEnd, SequenceFrame
+from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceResponse
 from tests.conftest import Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample
 from tests.support.videos import numbered_frames, write_video
@@ -64,6 +64,19 @@ class TestLines:
         assert end.events == [event for frame in frames for event in frame.events]
         assert sample(client, "pose_sequences") == 0
         assert sample(client, "pose_camera_sessions") == 0
+
+    def test_who_asks_for_json_gets_one_document(self, client: TestClient, video: bytes) -> None:
+        def answer(accept: str, data: bytes = video) -> httpx.Response:
+            headers = {"accept": accept, "content-type": "video/avi"}
+            return client.post("/sequence?n=1", content=data, headers=headers)  # type: ignore[return-value]
+
+        response = answer("application/json")
+        assert response.headers["content-type"] == "application/json"
+        document = SequenceResponse.model_validate_json(response.content)
+        frames, end = parse(answer("application/json, text/plain, */*"))
+        assert [one.video_frame for one in document.frames] == [one.video_frame for one in frames]
+        assert (document.end.reason, document.end.tracks) == (end.reason, end.tracks)
+        check_problem(answer("application/json", b"?"), 400, "video")
 
     def test_damaged_frames_are_marked_and_counted(
         self, client: TestClient, tmp_path: Path, photo: Photo

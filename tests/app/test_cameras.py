@@ -11,6 +11,8 @@ from app.cameras import (
     CameraSettings,
     CameraTraffic,
     NoSessionsError,
+    SessionLimits,
+    Wanted,
 )
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
@@ -64,23 +66,23 @@ class Registry(CameraSessions):
         self.while_working: Callable[[], None] = lambda: None
         super().__init__(
             lambda _: FakeSession(lambda: self.while_working()),  # type: ignore[arg-type,return-value]
-            max_sessions=max_sessions,
-            idle_s=60,
-            max_memory_bytes=max_memory_bytes,
-            configured=dict.fromkeys(configured, CameraSettings()),
-            on_begin=self._begin,
-            on_end=self.ended.append,
-            clock=lambda: self.now,
+            SessionLimits(max_sessions, 60, max_memory_bytes),
+            dict.fromkeys(configured, CameraSettings()),
+            self._note,
+            lambda: self.now,
         )
 
-    def _begin(self) -> None:
-        self.began += 1
+    def _note(self, reason: str | None) -> None:
+        if reason is None:
+            self.began += 1
+        else:
+            self.ended.append(reason)
 
     def send(self, camera: str, caller: int = 0, upload: Upload = UPLOAD, n: int = 1) -> str:
         """Process a frame a second after the last one; return the session's state."""
         self.now += 1
         key = CameraKey(caller, camera)
-        return self.process(key, self.estimator, upload, None, n, Job()).session
+        return self.process(key, self.estimator, upload, None, Job(), Wanted(n)).session
 
     def cameras(self, caller: int = 0) -> list[str]:
         return [summary.camera_id for summary in self.summaries(caller)]
@@ -94,7 +96,7 @@ def test_a_summary_describes_the_last_frame() -> None:
     summary = registry.summary(CameraKey(0, "yard")).session
     assert summary is not None
     assert (summary.frames, summary.timestamp) == (2, 2.0)
-    assert (summary.width, summary.height) == (7, 2)
+    assert summary.image == (7, 2)
     assert (summary.age_s, summary.idle_s) == (6.0, 5.0)
 
 

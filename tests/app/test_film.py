@@ -2,12 +2,13 @@
 
 import asyncio
 from collections.abc import Iterator
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from app.camera import CameraSession, LateFrameError
+from app.decoding import Frame
+from app.decoding.videos import VideoError
 from app.estimation.posture import EstimatedPosture
 from app.estimation.upload import UploadError
 from app.film import MAX_GAP_S, VideoEnd, VideoRun, VideoSummary
@@ -16,8 +17,6 @@ from app.scheduling.executor import Executor
 from app.scheduling.job import ClientGoneError, DeadlineError
 from app.scheduling.queue import ShutdownError
 from app.tracking.results import Event, RecognisedAction, TrackedFrame, TrackedPerson
-from app.video import Frame
-from app.video.reader import VideoError
 from app.vision.geometry import Box
 from index.posture import PostureName
 from index.search import SearchUnavailableError
@@ -59,11 +58,10 @@ async def run(
         return b"%d %d" % (frame.frame_index, number)
 
     video = VideoRun(
-        CameraSession(drawn), executor, "",
+        session=CameraSession(drawn), executor=executor, caller="",
         kind="video", n=1, evidence="silhouette", max_frames=max_frames, timeout_s=timeout_s,
     )  # fmt: skip
-    reader = SimpleNamespace(next=read)
-    async for line in video.lines(FRAMES[0], reader, write, lambda: len(lines) == ends_at):  # type: ignore[arg-type]
+    async for line in video.lines(FRAMES[0], read, write, lambda: len(lines) == ends_at):  # type: ignore[arg-type]
         lines.append(line)
         await asyncio.sleep(0.1 if timeout_s < 1 else 0)
     return lines, video.end, video.summary.frames
@@ -134,12 +132,12 @@ def test_a_posture_lasts_until_the_next_frame() -> None:
         (3.5, [person(1, None)]),
         (4.0, [person(1, "standing")]),
     )
-    assert summary.tracks[1].postures() == [("lying", 2.5), ("walking", 1.0), ("standing", 0.0)]
+    assert summary.tracks[1].postures == [("lying", 2.5), ("walking", 1.0), ("standing", 0.0)]
 
 
 def test_no_posture_is_kept_while_unseen_for_long() -> None:
     summary = summarised((0.0, [person(1, "walking")]), (MAX_GAP_S + 0.1, [person(1, "walking")]))
-    assert summary.tracks[1].postures() == [("walking", 0.0)]
+    assert summary.tracks[1].postures == [("walking", 0.0)]
 
 
 def test_the_action_with_the_largest_sum_wins() -> None:
@@ -150,6 +148,6 @@ def test_the_action_with_the_largest_sum_wins() -> None:
         (0.2, [person(1, None, walk)]),
         (0.3, [person(1, None, jump)]),
     )
-    action = summary.tracks[1].action()
+    action = summary.tracks[1].action
     assert action is not None
     assert (action.label, action.probability) == ("jump", pytest.approx(0.3))

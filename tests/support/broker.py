@@ -64,12 +64,12 @@ class Broker:
 class Subscriber:
     """A receiver whose session the broker keeps while it is away."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, name: str = "home") -> None:
         self.events: list[dict[str, Any]] = []
         self.latest: dict[str, str] = {}
         self.history: list[tuple[float, str, str]] = []
         self._client = mqtt.Client(
-            mqtt.CallbackAPIVersion.VERSION2, client_id="home", clean_session=False
+            mqtt.CallbackAPIVersion.VERSION2, client_id=name, clean_session=False
         )
         self._client.on_connect = lambda client, *_: client.subscribe("#", qos=1)
         self._client.on_message = self._take

@@ -25,9 +25,10 @@ from numpy.typing import NDArray
 from app.bridge import bridge as bridge_module
 from app.bridge import common as common_module
 from app.bridge import source as source_module
-from app.bridge.command import run
+from app.bridge.__main__ import run
 from app.bridge.outbox import Outbox
-from app.video.frames import UnreadableError
+from app.decoding import Frame
+from app.decoding.videos import VideoError
 from tests.app.bridge.cameras import MjpegCamera, RtspCamera
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
 from tests.conftest import ROOT, Server
@@ -250,19 +251,19 @@ class Shown:
         self._videos = [*videos]
         self.silent = threading.Event()
 
-    def open(self, *_: object) -> Shown:
+    def open(self, *_: object, **__: object) -> Shown:
         return self
 
-    def frames(self) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    def frames(self) -> Iterator[Frame]:
         for time_s in self._videos.pop(0):
-            yield time_s, np.zeros((4, 4, 3), np.uint8)
+            yield Frame(0, time_s, np.zeros((4, 4, 3), np.uint8))
         if not self._videos:
             self.silent.set()
             threading.Event().wait()
-        raise UnreadableError("a broken one")
+        raise VideoError("undecodable", "a broken one")
 
-    def close(self) -> None:
-        pass
+    def close(self) -> str:
+        return ""
 
 
 def test_a_recording_plays_on_where_its_time_jumps(
@@ -302,7 +303,7 @@ def test_what_decodes_a_source_is_confined_and_holds_no_password_of_a_receiver(
         decoders = [
             process
             for process in processes
-            if b"app.video.decoder" in (process / "cmdline").read_bytes()
+            if b"app.decoding.video_program" in (process / "cmdline").read_bytes()
         ]
         assert decoders
         for process in decoders:

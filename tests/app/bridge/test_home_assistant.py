@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import jinja2
@@ -18,6 +18,7 @@ from app.bridge import common as common_module
 from app.bridge import home_assistant as module
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox, deliver
+from app.tracking.results import EVENT_NAMES
 from tests.app.bridge.servers import event
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
@@ -106,7 +107,7 @@ def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch
         topic for topic, payload in ward.subscriber.latest.items() if "/config" in topic and payload
     }
     assert {topic.split("/")[-2] for topic in discovered} == {
-        "fell", "obstructed", "people", "zones_floor"
+        "events", "fell", "last_fall", "obstructed", "people", "zones_floor"
     }  # fmt: skip
     ward.home.hide()
     eventually(ward.shows(available="offline", people="None", **{"zones/floor": "None"}))
@@ -131,7 +132,7 @@ def test_the_sensor_of_a_fall_turns_on_by_its_own_template(ward: Ward) -> None:
         latest = ward.subscriber.latest
         configs = [json.loads(text) for topic, text in latest.items() if topic.endswith("/config")]
         for config in configs:
-            if config["name"] == "fell" and config["state_topic"] in latest:
+            if config["name"] == "Fell" and config["state_topic"] in latest:
                 value = json.loads(latest[config["state_topic"]])
                 return jinja2.Template(config["value_template"]).render(value_json=value)
         return None
@@ -139,6 +140,33 @@ def test_the_sensor_of_a_fall_turns_on_by_its_own_template(ward: Ward) -> None:
     eventually(lambda: state() == "OFF")
     ward.outbox.put(message(1))
     eventually(lambda: state() == "ON")
+
+
+def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> None:
+    def config(topic: str) -> dict[str, Any]:
+        return json.loads(ward.subscriber.latest[f"homeassistant/{topic}/config"])
+
+    sent = [message(1, "entered"), message(2), {**message(3, "lying"), "state": "end"}]
+    for one in sent:
+        ward.outbox.put(one)
+    eventually(lambda: len(ward.subscriber.events) == 3)
+    eventually(ward.shows(last_fall=message(2)["time"]))
+    device = next(t for t in ward.subscriber.latest if t.endswith("/last_fall/config")).split("/")[
+        2
+    ]
+    entity = config(f"event/{device}/events")
+    template = jinja2.Template(entity["value_template"])
+    read = [json.loads(template.render(value_json=one)) for one in ward.subscriber.events]
+    assert [one.pop("event_type") for one in read] == ["entered", "fell", "lying_ended"]
+    assert read == sent
+    assert {name.removesuffix("_ended") for name in entity["event_types"]} == {*EVENT_NAMES}
+    # Neither becomes unavailable, so that nothing is taken for new once the camera is back.
+    late = Subscriber(ward.broker.port, "late")
+    eventually(lambda: f"{BASE}/last_fall" in late.latest)
+    assert entity["state_topic"] == f"{BASE}/events" and late.events == []
+    for topic in (f"event/{device}/events", f"sensor/{device}/last_fall"):
+        assert "availability_topic" not in config(topic)
+    late.close()
 
 
 def test_a_zone_that_went_while_the_bridge_did_not_run_is_withdrawn(ward: Ward) -> None:

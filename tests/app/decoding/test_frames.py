@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.video import MIN_STEP_S, Frame
-from app.video.frames import Clock, TooLargeError, UnreadableError, Video
+from app.decoding import MIN_STEP_S, Frame
+from app.decoding.frames import Clock, TooLargeError, UnreadableError, Video
 from tests.conftest import WALKERS
 from tests.support.videos import (
     Picture,

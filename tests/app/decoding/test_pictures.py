@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_array_equal
 from PIL import Image
 
-from app.decoding.workers import Allowance, Workers
+from app.decoding.pictures import Allowance, Workers
 from app.vision.images import ImageError, ImageTooLargeError, decode_image, is_expensive
 from app.vision.masks import decode_mask
 from scripts.load.expensive import (
@@ -50,7 +50,7 @@ def decode(
 
 def process_of(workers: Workers) -> int:
     (worker,) = workers._idle
-    return worker._process.pid
+    return worker._program.pid
 
 
 def saved(form: str, image: np.ndarray, **options: Any) -> bytes:

@@ -11,10 +11,10 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.bridge import common, webhook
+from app.bridge import common, web
 from app.bridge.common import RefusedError, UnavailableError, printable, say
 from app.bridge.outbox import Outbox, deliver
-from app.bridge.webhook import Webhook
+from app.bridge.web import Webhook
 from tests.app.bridge.servers import Webhook as FakeWebhook
 from tests.app.bridge.servers import event, serving
 
@@ -100,7 +100,7 @@ def test_what_is_printable_stays(text: str, capsys: Capture) -> None:
 def test_an_answer_that_trickles_ends_at_the_deadline(
     parts: list[bytes], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(webhook, "_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(web, "_EVENT_TIMEOUT_S", 0.5)
 
     def trickle(client: socket.socket) -> None:
         for part in parts:

@@ -2,42 +2,31 @@
 
 from __future__ import annotations
 
-import json
 import logging
-import os
 import resource
-import select
 import signal
-import subprocess
 import sys
-from collections.abc import Callable
-from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from app.decoding.worker import HEAD, TOO_EXPENSIVE
+from app.decoding.confinement import BrokenOffError, Checkpoint, Program
+from app.decoding.picture_program import TOO_EXPENSIVE
 from app.vision.images import ImageError, ImageTooLargeError, turn_of
 
-Checkpoint = Callable[[], None]
 Decoded = tuple[NDArray[Any], tuple[Any, ...]]
 
-# Processor time for the pictures of one upload. Sound ones of 12 megapixels take up to 1 s; all the
-# while, a small frame may be waiting for the thread.
+# Processor time for the pictures of one upload, while a small frame may be waiting for the thread.
+# Sound ones of 12 megapixels take up to 1 s.
 _MAX_SECONDS = 2.0
-# Processor time of a process, after which another one takes its place.
-_LIFETIME_S = 600
+_LEAST_SECONDS = 0.01  # A timer of 0 s never ends.
+_LIFETIME_S = 600  # Processor time of a process, after which another one takes its place.
 # Address space of a process: 70 MB at rest, of which 26 MB are in memory. A file may be there
 # twice. A transparent WebP takes 28 bytes for each pixel, other files less.
 _BASE_BYTES, _PER_BYTE, _PER_PIXEL = 100 * 1024**2, 2, 32
-_CHECKED_EVERY_MS = 50
-_MAX_JSON_BYTES = 10_000
+_CHECKED_EVERY_S = 0.05
 _BYTES_PER_PIXEL = 3  # Of a photograph; labels have 1 or 2.
-_LEAST_SECONDS = 0.01  # A timer of 0 s never ends.
-# The program is run from here, so that it finds its modules.
-_ROOT = Path(__file__).parents[2]
 
 log = logging.getLogger("app")
 
@@ -77,15 +66,12 @@ class Workers:
 
         ``checkpoint`` is called now and then; it raises an error if the result is not wanted.
 
-        Raises
-        ------
-        ImageTooLargeError, ImageError
-            As :func:`app.vision.images.decode_image` and :func:`app.vision.masks.decode_mask`, and
-            if decoding takes more than the allowance or the memory of a process.
+        Raises as :func:`app.vision.images.decode_image` and :func:`app.vision.masks.decode_mask`,
+        and ImageError if it takes more than the allowance or the memory of a process.
         """
         while True:
             try:
-                self._turns.get(timeout=_CHECKED_EVERY_MS / 1000)
+                self._turns.get(timeout=_CHECKED_EVERY_S)
                 break
             except Empty:
                 checkpoint()
@@ -109,29 +95,14 @@ class Workers:
 
 
 class _Worker:
-    """A process that runs :mod:`app.decoding.worker`."""
+    """A process that runs :mod:`app.decoding.picture_program`."""
 
     def __init__(self, max_bytes: int) -> None:
         self.is_usable = True
         self._is_ready = False
         self._seconds = 0.0
-        self._process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "app.decoding.worker"),
-                *("--max-seconds", str(2 * _LIFETIME_S), "--max-bytes", str(max_bytes)),
-            ],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,  # What decoders remark about files.
-            bufsize=0,
-            cwd=_ROOT,
-            # Only the program's first thread is confined, so it must be the only one.
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
-        os.set_blocking(self._in, False)
+        limits = ("--max-seconds", 2 * _LIFETIME_S, "--max-bytes", max_bytes)
+        self._program = Program("picture_program", *limits)
 
     def decode(
         self, data: bytes, asked: dict[str, Any], allowance: Allowance, checkpoint: Checkpoint
@@ -140,18 +111,18 @@ class _Worker:
         if not self._is_ready:
             self._wait_until_ready(checkpoint)
         self.is_usable = False
-        head = json.dumps(asked | {"max_seconds": allowance.seconds}).encode()
+        program, limited = self._program, asked | {"max_seconds": allowance.seconds}
         try:
             self._limit_memory(_memory(len(data)))
-            for part in (HEAD.pack(len(head), len(data)), head, data):
-                self._write(part, checkpoint)
-            found, values = self._answer(0, checkpoint)
+            program.send_message(checkpoint, limited, data)
+            found, values = program.receive(0, checkpoint)
             if "pixels" in found:
                 with turn_of(found["pixels"], checkpoint):
                     self._limit_memory(_memory(len(data), found["pixels"]))
-                    self._write(b"\n", checkpoint)
-                    found, values = self._answer(_BYTES_PER_PIXEL * asked["max_pixels"], checkpoint)
-        except (EOFError, BrokenPipeError):
+                    program.send_message(checkpoint, {}, b"")
+                    most = _BYTES_PER_PIXEL * asked["max_pixels"]
+                    found, values = program.receive(most, checkpoint)
+        except (BrokenOffError, BrokenPipeError):
             raise ImageError(self._given_up()) from None
         allowance.seconds = max(_LEAST_SECONDS, allowance.seconds - found["seconds"])
         self._seconds += found["seconds"]
@@ -161,18 +132,16 @@ class _Worker:
             raise kind(found["error"])
         return values.view(found["dtype"]).reshape(found["shape"]), tuple(found["warnings"])
 
-    def end(self) -> None:
-        """End the process and close the pipes."""
-        self._process.kill()
-        with self._process:
-            pass
+    def end(self) -> int:
+        """End the process; return its exit status."""
+        return self._program.end()
 
     def _wait_until_ready(self, checkpoint: Checkpoint) -> None:
-        """Read the first answer; a process that is late with it is ready for the next picture."""
-        self._wait_for(self._out, select.POLLIN, checkpoint)
+        """Read the first message; a process that is late with it is ready for the next picture."""
+        self._program.wait(checkpoint)
         try:
-            missing = self._answer(0, checkpoint)[0]["missing"]
-        except EOFError:
+            missing = self._program.receive(0, lambda: None)[0]["missing"]
+        except BrokenOffError:
             self.is_usable = False
             raise RuntimeError("the program that decodes pictures does not start") from None
         if missing:
@@ -181,47 +150,13 @@ class _Worker:
 
     def _limit_memory(self, size: int) -> None:
         if sys.platform == "linux":
-            _, most = resource.prlimit(self._process.pid, resource.RLIMIT_DATA)
-            resource.prlimit(self._process.pid, resource.RLIMIT_DATA, (min(size, most), most))
+            _, most = resource.prlimit(self._program.pid, resource.RLIMIT_DATA)
+            resource.prlimit(self._program.pid, resource.RLIMIT_DATA, (min(size, most), most))
 
     def _given_up(self) -> str:
-        self._process.kill()
-        if self._process.wait() != -signal.SIGPROF:
+        if self.end() != -signal.SIGPROF:
             return TOO_EXPENSIVE
         return (
             f"expected an image that takes at most {_MAX_SECONDS} s to decode, got one that takes "
             "longer; send it as JPEG or PNG"
         )
-
-    def _answer(
-        self, max_bytes: int, checkpoint: Checkpoint
-    ) -> tuple[dict[str, Any], NDArray[np.uint8]]:
-        """Read the JSON object that the program writes, and the bytes behind it."""
-        head = HEAD.unpack(self._read(HEAD.size, checkpoint).tobytes())
-        if head[0] > _MAX_JSON_BYTES or head[1] > max_bytes:
-            raise EOFError
-        found = json.loads(self._read(head[0], checkpoint).tobytes())
-        return found, self._read(head[1], checkpoint)
-
-    def _read(self, size: int, checkpoint: Checkpoint) -> NDArray[np.uint8]:
-        read = np.empty(size, np.uint8)
-        left = read.data
-        while left:
-            self._wait_for(self._out, select.POLLIN, checkpoint)
-            got = os.readv(self._out, [left])
-            if not got:
-                raise EOFError
-            left = left[got:]
-        return read
-
-    def _write(self, data: bytes, checkpoint: Checkpoint) -> None:
-        left = memoryview(data)
-        while left:
-            self._wait_for(self._in, select.POLLOUT, checkpoint)
-            left = left[os.write(self._in, left) :]
-
-    def _wait_for(self, pipe: int, event: int, checkpoint: Checkpoint) -> None:
-        poll = select.poll()
-        poll.register(pipe, event)
-        while not poll.poll(_CHECKED_EVERY_MS):
-            checkpoint()

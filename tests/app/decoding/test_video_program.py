@@ -1,7 +1,6 @@
 """The program that decodes: what it writes, and what it cannot do."""
 
 import io
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -10,24 +9,29 @@ import av
 import numpy as np
 import pytest
 
-from app.video.decoder import write_frames
+from app.decoding.confinement import read_message
+from app.decoding.video_program import write_frames
 from tests.conftest import ROOT
 from tests.support.videos import noisy_frames, numbered_frames, write_video
 
 
 def decode(video: bytes, stride: int = 1, max_pixels: int = 10_000) -> list[dict[str, object]]:
-    """The lines that the program writes, with the mean brightness of each frame."""
+    """The messages that the program writes, with the mean brightness of each frame."""
     out = io.BytesIO()
-    write_frames(io.BytesIO(video), stride, max_pixels, out)
+    write_frames(io.BytesIO(video), (stride, max_pixels, 0.0), out)
     out.seek(0)
-    lines = []
-    while line := out.readline():
-        head = json.loads(line)
+    messages = []
+    while message := read_message(out):
+        head, data = message
         if "number" in head:
-            pixels = np.frombuffer(out.read(head["width"] * head["height"] * 3), np.uint8)
-            head["mean"] = int(pixels.mean().round(-1))
-        lines.append(head)
-    return lines
+            assert len(data) == head["width"] * head["height"] * 3
+            head["mean"] = int(np.frombuffer(data, np.uint8).mean().round(-1))
+        messages.append(head)
+    return messages
+
+
+def ending(text: str | None, *, is_too_large: bool = False) -> dict[str, object]:
+    return {"end": text, "is_too_large": is_too_large}
 
 
 def test_every_nth_frame_is_written(tmp_path: Path) -> None:
@@ -35,24 +39,23 @@ def test_every_nth_frame_is_written(tmp_path: Path) -> None:
     size = {"width": 64, "height": 48, "pixel_aspect": 1.0, "damaged": False}
     assert lines == [
         *({"number": n, "timestamp": n / 10, "mean": 10 * n, **size} for n in (0, 3, 6)),
-        {"end": None},
+        ending(None),
     ]
 
 
 def test_the_last_line_says_what_was_found(tmp_path: Path) -> None:
     video = write_video(tmp_path / "v.avi", noisy_frames(8))
-    assert decode(b"?") == [{"end": "something else or a broken one"}]
-    assert decode(video[: len(video) // 2], max_pixels=320 * 240)[-1] == {
-        "end": "one that is cut off or damaged after 5 frames"
-    }
-    assert decode(video, max_pixels=320 * 240 - 1) == [{"width": 320, "height": 240}]
+    assert decode(b"?") == [ending("something else or a broken one")]
+    cut_off = decode(video[: len(video) // 2], max_pixels=320 * 240)[-1]
+    assert cut_off == ending("one that is cut off or damaged after 5 frames")
+    assert decode(video, max_pixels=320 * 240 - 1) == [ending("320x240", is_too_large=True)]
 
 
 def test_playlists_are_not_followed(tmp_path: Path) -> None:
     other = tmp_path / "other.avi"
     write_video(other, numbered_frames(3))
     playlist = f"ffconcat version 1.0\nfile {other}\n".encode()
-    assert decode(playlist) == [{"end": "a playlist (ffconcat)"}]
+    assert decode(playlist) == [ending("a playlist (ffconcat)")]
 
 
 @pytest.mark.parametrize(
@@ -67,7 +70,7 @@ def test_playlists_are_not_followed(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_video_is_named(data: bytes, kind: str) -> None:
-    assert decode(data) == [{"end": kind}]
+    assert decode(data) == [ending(kind)]
 
 
 def with_subtitles(video: bytes, folder: Path) -> bytes:
@@ -87,9 +90,11 @@ def with_subtitles(video: bytes, folder: Path) -> bytes:
     return (folder / "subtitles.mkv").read_bytes()
 
 
-def start(file: Path, code: str = "from app.video.decoder import main; main()") -> subprocess.Popen:
+def start(
+    file: Path, code: str = "from app.decoding.video_program import main; main()"
+) -> subprocess.Popen:
     """Run code in a process that has a video as its standard input."""
-    command = [sys.executable, "-c", code, "0", "--max-pixels", "400000", "--max-seconds", "20"]
+    command = [sys.executable, "-c", code, "--max-pixels", "400000", "--max-seconds", "20"]
     with file.open() as video:
         return subprocess.Popen(
             command, cwd=ROOT, stdin=video, stdout=subprocess.PIPE, stderr=subprocess.PIPE
@@ -103,12 +108,12 @@ def test_it_decodes_within_its_confinement(tmp_path: Path) -> None:
     with start(tmp_path / "v.mkv") as process:
         out, errors = process.communicate(timeout=20)
     assert (process.returncode, errors) == (0, b"")
-    assert out.count(b'"number"') == 3 and out.endswith(b'{"end": null}\n')
+    assert out.count(b'"number"') == 3 and out.endswith(b'{"end": null, "is_too_large": false}')
 
 
 ATTEMPTS = """
 import os, signal, socket, subprocess
-from app.video import decoder
+from app.decoding import confinement, video_program
 def attempt(file, *_):
     for name, call in {
         "read a file": lambda: open("/etc/passwd"),
@@ -127,8 +132,8 @@ def attempt(file, *_):
             continue
         print(name)
     print("decoded", len(file.read(4)))
-decoder.write_frames = attempt
-decoder.main()
+video_program.write_frames = attempt
+video_program.main()
 """
 
 
@@ -148,13 +153,14 @@ NEED_NO_DESCRIPTOR = ('"fork"', '"run"', '"end the service"', '"delete"')
 def test_without_seccomp_nothing_can_be_opened_either(tmp_path: Path) -> None:
     """Other systems, and kernels that refuse it, still have limits."""
     refused = "def refused(**_):\n    raise OSError('no seccomp')\n"
-    code = ATTEMPTS.replace("decoder.main()", f"{refused}decoder.forbid_system_calls = refused")
+    refused += "confinement.forbid_system_calls = refused"
+    code = ATTEMPTS.replace("video_program.main()", refused)
     lines = [
         line for line in code.splitlines() if not any(one in line for one in NEED_NO_DESCRIPTOR)
     ]
     file = tmp_path / "v"
     file.write_bytes(b"data")
-    with start(file, "\n".join([*lines, "decoder.main()"])) as process:
+    with start(file, "\n".join([*lines, "video_program.main()"])) as process:
         out, errors = process.communicate(timeout=20)
     assert b"without seccomp: no seccomp" in errors
     assert out == b"decoded 4\n"
@@ -164,7 +170,7 @@ def test_it_ends_quietly_when_its_output_is_closed(tmp_path: Path) -> None:
     write_video(tmp_path / "v.avi", numbered_frames(20, 480, 640))
     with start(tmp_path / "v.avi") as process:
         assert process.stdout is not None and process.stderr is not None
-        assert process.stdout.read(1) == b"{"
+        assert len(process.stdout.read(1)) == 1
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait(20) == 0

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from itertools import groupby
 from typing import IO, Any
 
@@ -18,19 +19,16 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
-from app.video import MIN_STEP_S, Frame
+from app.decoding import MIN_STEP_S, Frame
 from app.vision.kinds import HEAD_BYTES, kind_of
 
 # A frame rate above the maximum is treated as wrong and replaced by the default.
-_DEFAULT_FPS = 25.0
-_MAX_FPS = 1000.0
+_DEFAULT_FPS, _MAX_FPS = 25.0, 1000.0
 _MAX_TIMESTAMP_S = 1e9
 _MIN_PIXEL_ASPECT = 0.25
-
 # FFmpeg's messages. Containers other than MP4 and Matroska mark the last packet as corrupt.
 _CUT_OFF = ("partial file", "File ended prematurely")
 _NO_INDEX = "moov atom not found"
-
 _UNFINISHED = "an MP4 or MOV whose index (moov) is missing: the file is incomplete"
 
 
@@ -39,23 +37,14 @@ class UnreadableError(ValueError):
 
 
 class TooLargeError(ValueError):
-    """A frame has too many pixels."""
-
-    def __init__(self, width: int, height: int) -> None:
-        super().__init__(f"{width}x{height}")
-        self.width, self.height = width, height
+    """A frame has too many pixels; the message is its size."""
 
 
 class Video:
-    """A video that is open for decoding, on one thread.
+    """A video that is open for decoding, on one thread; raises UnreadableError if it is none.
 
     The source is a path, an address or a file; ``options`` are FFmpeg's for opening it. An address
     may keep it waiting for ``timeout_s``.
-
-    Raises
-    ------
-    UnreadableError
-        If it is not a video.
     """
 
     def __init__(
@@ -98,12 +87,8 @@ class Video:
     ) -> Iterator[Frame]:
         """Decode the video and yield every ``stride``-th frame, and at most one each interval.
 
-        Raises
-        ------
-        UnreadableError
-            If the video, or the rest of it, cannot be read.
-        TooLargeError
-            If a frame has more than ``max_pixels``.
+        Raises UnreadableError if the video, or the rest of it, cannot be read, and TooLargeError if
+        a frame has more than ``max_pixels``.
         """
         codec, count, due_s = self._stream.codec_context, 0, 0.0
         clock = Clock(float(self._stream.average_rate or 0))
@@ -177,7 +162,7 @@ def _ended_early(messages: list[tuple[int, str, str]]) -> bool:
 
 def _check_size(width: int, height: int, max_pixels: float) -> None:
     if width * height > max_pixels:
-        raise TooLargeError(width, height)
+        raise TooLargeError(f"{width}x{height}")
 
 
 def _head(source: str | IO[bytes]) -> bytes:
@@ -272,12 +257,8 @@ def _deinterlacer(picture: VideoFrame) -> Graph:
     """Make a filter of pictures like this one; those that are not interlaced pass unchanged."""
     graph = Graph()
     graph.threads = 1
-    source = graph.add_buffer(
-        width=picture.width,
-        height=picture.height,
-        format=picture.format,
-        time_base=picture.time_base,
-    )
+    alike = {name: getattr(picture, name) for name in ("width", "height", "format", "time_base")}
+    source = graph.add_buffer(**alike)
     bwdif = graph.add("bwdif", "mode=send_frame:deint=interlaced")
     graph.link_nodes(source, bwdif, graph.add("buffersink")).configure()
     return graph
@@ -285,11 +266,9 @@ def _deinterlacer(picture: VideoFrame) -> Graph:
 
 def _filtered(graph: Graph) -> Iterator[VideoFrame]:
     """Take out the pictures that are ready."""
-    try:
+    with suppress(BlockingIOError, EOFError):
         while True:
             yield graph.vpull()
-    except (BlockingIOError, EOFError):
-        return
 
 
 class Clock:
