@@ -12,6 +12,8 @@ RUN := .venv
 DEV := .venv-dev
 BUILD := .venv-build
 NEWEST := .venv-newest
+# MediaPipe wants another NumPy and another OpenCV than the service.
+PEER := .venv-peer
 REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
 # pip is held to the versions that were tested; `make constraints` writes them.
@@ -75,8 +77,9 @@ paper: $(DEV)/.stamp
 evaluate: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m scripts evaluate --shared $(SHARED) $(ARGS)
 
-bench: $(DEV)/.stamp
+bench: $(DEV)/.stamp $(PEER)/.stamp
 	$(DEV)/bin/python -m scripts bench --shared $(SHARED) $(ARGS)
+	$(DEV)/bin/python -m scripts peer --shared $(SHARED) $(ARGS)
 
 # All pages at one revision, a night at most; goes on where it was stopped.
 results: $(BUILD)/.stamp
@@ -106,6 +109,13 @@ $(DEV)/.stamp: pyproject.toml constraints.txt
 	@$(DEV)/bin/$(PIP_INSTALL) -e '.[test]'
 	@touch $@
 
+# Where there is no wheel, the bench leaves its row out and says why.
+$(PEER)/.stamp:
+	@echo "Once: setting up $(PEER) with MediaPipe, from PyPI (about a minute)"
+	@$(PYTHON) -m venv $(PEER)
+	-@$(PEER)/bin/pip install --quiet --disable-pip-version-check mediapipe==0.10.21
+	@touch $@
+
 # torch first and pinned: another way round, pip takes gigabytes of CUDA libraries.
 $(BUILD)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(BUILD) with everything, torch too, from PyPI (several minutes)"
@@ -116,6 +126,6 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.
 clean:
-	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) build dist *.egg-info \
+	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) $(PEER) build dist *.egg-info \
 	  .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage mutants
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -67,6 +67,7 @@ COMMANDS = {
     "figures": ("scripts.figures", "write figures from the JSON into pages and documents"),
     "results": ("scripts.play_results", "measure again what is older than the code"),
     "bench": ("scripts.load.bench", "time whole requests against a yardstick"),
+    "peer": ("scripts.load.peer", "price a camera's frames beside MediaPipe Pose"),
     "profile": ("scripts.load.profile", "print where the time of a frame goes, stage by stage"),
     "overload": ("scripts.load.overload", "offer a server ten times the load it carries"),
     "soak": ("scripts.load.soak", "send many mixed requests; watch memory and latency"),

@@ -136,14 +136,16 @@ def back_and_forth(film: Sequence[Picture]) -> list[bytes]:
     return [encode(".jpg", frame) for frame in (*film, *film[-2:0:-1])]
 
 
-def camera_calls(camera: str, film: Sequence[Picture], query: str = "") -> tuple[Call, ...]:
-    """Return a camera's frames at ten a second: a film played back and forth."""
+def camera_calls(
+    camera: str, film: Sequence[Picture], query: str = "", per_s: int = 10
+) -> tuple[Call, ...]:
+    """Return a camera's frames: a film played back and forth."""
     frames = back_and_forth(film)
     return tuple(
         Call(
             "POST",
             f"/cameras/{camera}/frames{query}",
-            {"frame": frames[number % len(frames)], "timestamp": str(number / 10).encode()},
+            {"frame": frames[number % len(frames)], "timestamp": str(number / per_s).encode()},
         )
         for number in range(MAX_CALLS)
     )

@@ -74,8 +74,7 @@ class ServerProcess:
 
     def processor_s(self) -> float:
         """Return the processor time spent so far by all threads, seconds."""
-        # The clock of a process, as `clock_getcpuclockid` makes it of the number of the process.
-        return time.clock_gettime(~self._process.pid << 3 | 2)
+        return processor_s(self._process.pid)
 
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
@@ -86,6 +85,12 @@ class ServerProcess:
         """End the process."""
         if self.alive():
             self.stop()
+
+
+def processor_s(process: int) -> float:
+    """Return the processor time spent so far by all threads of a process, seconds."""
+    # The clock of a process, as `clock_getcpuclockid` makes it of the number of the process.
+    return time.clock_gettime(~process << 3 | 2)
 
 
 def _memory_mb(process: int, what: str) -> float:
