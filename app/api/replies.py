@@ -470,6 +470,7 @@ def _tracked_person(
         zones=list(tracked.zones),
         caller_track_id=tracked.caller_track_id,
         still_s=None if tracked.still_s is None else round(tracked.still_s, SECOND_DIGITS),
+        on_floor=None if tracked.on_floor is None else round(tracked.on_floor, 4),
     )
 
 
@@ -497,6 +498,7 @@ def _event(event: Event) -> tracking_schemas.Event:
         caller_track_id=event.caller_track_id,
         dwell_s=None if event.dwell_s is None else round(event.dwell_s, SECOND_DIGITS),
         lost=event.lost,
+        on_floor=None if event.on_floor is None else round(event.on_floor, 4),
     )
 
 

@@ -222,6 +222,12 @@ class TrackedPerson(Person):
         "statue, a screen, a poster or a sleeping person. Otherwise null.",
         examples=[None],
     )
+    on_floor: Probability | None = Field(
+        default=None,
+        description="Probability that a person who lies does so on the floor, rather than on a bed "
+        "or a sofa. Null for others, and while the camera has seen too few people who stand.",
+        examples=[None],
+    )
 
 
 class Event(Model):
@@ -264,6 +270,11 @@ class Event(Model):
         description="With `fell`, whether the person was no longer visible when the fall was "
         "reported.",
         examples=[False],
+    )
+    on_floor: Probability | None = Field(
+        default=None,
+        description="With `lying` and `fell`, the person's `on_floor`; otherwise null.",
+        examples=[0.97],
     )
 
 
