@@ -13,7 +13,7 @@ from scripts.experiments.rendered_people import FILE, read_rendered_people
 from scripts.experiments.stages import figures_of, ways_of
 
 LEAST_LOSS_MM = {"silhouette": 10.0}
-"""What permuting the index costs the best of seven, by way; measured of half of the people: 20 mm."""
+"""What permuting the index costs the best of seven, by way; half the people: 20 mm."""
 
 
 def test_in_a_permuted_index_a_descriptor_finds_another_entry(tiny_index: PoseIndex) -> None:
