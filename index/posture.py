@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from index.skeleton import JOINT_NAMES, JOINTS, SIDES, rows
+from index.skeleton import JOINT_NAMES, JOINTS, rows, side_rows, squared_lengths
 
 PostureName = Literal[
     "standing", "walking", "running", "sitting", "crouching",
@@ -116,31 +116,19 @@ _MAX_SEATED_TRUNK_DEG, _MIN_SEATED_SHANK_DEG = 20.0, 55.0
 # Least tilt of a trunk that is bent over standing legs, and over lowered legs.
 _MIN_BENT_DEG, _MIN_BENT_LOW_DEG = 45.0, 60.0
 
-# Shares of the body's mass, lumped at joints.
-_MASSES = {"pelvis": 0.25, "chest": 0.25, "head": 0.08}
-_LIMB_MASSES = {"elbow": 0.05, "hip": 0.05, "knee": 0.07, "ankle": 0.04}
-_MASSES |= {f"{side}_{joint}": mass for joint, mass in _LIMB_MASSES.items() for side in SIDES}
+# Bones by their ends: both thighs, both shanks, the trunk.
+_KNEES = side_rows("knee")
+_UPPER_ENDS = [*side_rows("hip", "knee"), *rows("neck")]
+_LOWER_ENDS = [*side_rows("knee", "ankle"), *rows("pelvis")]
+_TRUNK = rows("pelvis", "chest", "head")
+_WRISTS, _ELBOWS = side_rows("wrist"), side_rows("elbow")
+# Shares ``(19,)`` of the body's mass, lumped at joints.
+_MASSES = np.zeros(JOINTS)
+_MASSES[_TRUNK] = 0.25, 0.25, 0.08
+_MASSES[side_rows("elbow", "hip", "knee", "ankle")] = np.repeat((0.05, 0.05, 0.07, 0.04), 2)
 _FEET = rows("left_ankle", "left_toe", "right_ankle", "right_toe", among=JOINT_NAMES)
 _FIRST, _SECOND = np.triu_indices(len(_FEET), 1)
 """All pairs of points of the feet."""
-
-
-@dataclass(frozen=True)
-class _Skeletons:
-    """Skeletons ``(N, 19, 3)``, each with its own direction up, ``(N, 3)``."""
-
-    joints: NDArray[np.float64]
-    up: NDArray[np.float64]
-
-    def at(self, name: str) -> NDArray[np.float64]:
-        return self.joints[:, JOINT_NAMES.index(name)]
-
-    def along_up(self, vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.einsum("n...i,ni->n...", vectors, self.up)
-
-    def bones(self, start: str, end: str) -> NDArray[np.float64]:
-        """Vectors ``(N, 2, 3)`` of the left and the right bone, from its end to its start."""
-        return np.stack([self.at(f"{s}_{start}") - self.at(f"{s}_{end}") for s in SIDES], axis=1)
 
 
 def classify_postures(
@@ -165,33 +153,34 @@ def classify_postures(
         Positions in :data:`POSTURES`.
     """
     joints = np.asarray(points_3d, np.float64)[:, :JOINTS]
-    bodies = _Skeletons(joints, np.broadcast_to(np.asarray(up, np.float64), (len(joints), 3)))
-    speed = np.broadcast_to(np.asarray(speed, np.float64), (len(joints),))
-    thighs, shanks = bodies.bones("hip", "knee"), bodies.bones("knee", "ankle")
-    thigh_lengths = np.linalg.norm(thighs, axis=-1)
-    leg = (thigh_lengths + np.linalg.norm(shanks, axis=-1)).mean(axis=1)
-    heights = bodies.along_up(joints)
-    heights = (heights - heights.min(axis=1, keepdims=True)) / leg[:, None]
-    height = {name: heights[:, row] for row, name in enumerate(JOINT_NAMES)}
-    pelvis = height["pelvis"]
-
-    trunk = bodies.at("neck") - bodies.at("pelvis")
-    tilt_deg = _degrees(bodies.along_up(trunk) / np.linalg.norm(trunk, axis=1), np.arccos)
-    hand = np.min([height[f"{s}_{j}"] for s in SIDES for j in ("wrist", "elbow")], axis=0)
-    knees = np.stack([height[f"{s}_knee"] for s in SIDES], axis=1)
+    up = np.asarray(up, np.float64)
+    along_up = (joints @ up[..., None])[..., 0]
+    bones = joints[:, _UPPER_ENDS] - joints[:, _LOWER_ENDS]
+    lengths = np.sqrt(squared_lengths(bones))
+    rises = along_up[:, _UPPER_ENDS] - along_up[:, _LOWER_ENDS]
+    leg = lengths[:, :4].sum(axis=1) / 2
+    heights = (along_up - along_up.min(axis=1, keepdims=True)) / leg[:, None]
+    angles_deg = np.rad2deg(np.arcsin(np.clip(rises / lengths, -1, 1)))
+    thighs_deg, shanks_deg, tilt_deg = angles_deg[:, :2], angles_deg[:, 2:4], 90 - angles_deg[:, 4]
+    height = dict(zip(("pelvis", "chest", "head"), heights[:, _TRUNK].T, strict=True))
+    pelvis, knees, wrists = height["pelvis"], heights[:, _KNEES], heights[:, _WRISTS]
+    hand = np.minimum(wrists, heights[:, _ELBOWS]).min(axis=1)
     lower = knees.argmin(axis=1)
     every = np.arange(len(joints))
-    shank_rise = np.abs(bodies.along_up(shanks)[every, lower]) / leg
+    shank_rise = np.abs(rises[every, 2 + lower]) / leg
     on_knee = (knees[every, lower] < _MAX_KNEE_HEIGHT) & (shank_rise < _MAX_SHANK_RISE)
-    unsupported = _distance_from_feet(bodies) / leg > _MIN_UNSUPPORTED
-    seated = _has_seated_legs(bodies, tilt_deg) & (pelvis > _MIN_SEAT_HEIGHT)
+    unsupported = _distance_from_feet(joints, along_up, up) / leg > _MIN_UNSUPPORTED
+    level_deg = np.rad2deg(np.arcsin(np.sin(np.deg2rad(thighs_deg)).mean(axis=1)))
+    seated = (np.abs(level_deg) < _MAX_LEVEL_THIGH_DEG) & (pelvis > _MIN_SEAT_HEIGHT)
+    seated &= thighs_deg.max(axis=1) < _MAX_STEEP_THIGH_DEG
+    seated &= (tilt_deg < _MAX_SEATED_TRUNK_DEG) | (shanks_deg.min(axis=1) > _MIN_SEATED_SHANK_DEG)
 
     horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
     lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
     low_chest = height["chest"] < _MAX_LYING_HEIGHT
-    flexed = np.einsum("nki,ni->nk", thighs, trunk).max(axis=1) < 0
+    flexed = ((bones[:, :2] @ bones[:, 4, :, None])[..., 0] < 0).all(axis=1)
     on_thighs = flexed & (pelvis - knees.max(axis=1) > _MIN_FOLDED_HEIGHT)
-    conditions: tuple[tuple[PostureName, NDArray[np.bool_]], ...] = (
+    conditions: tuple[tuple[PostureName, ArrayLike], ...] = (
         ("kneeling", horizontal & lowered & low_chest & on_thighs),  # Prostrate.
         ("lying", horizontal & (pelvis < _MAX_LYING_HEIGHT) & low_chest),
         (
@@ -202,18 +191,13 @@ def classify_postures(
         ("sitting", seated | (lowered & (on_floor | unsupported))),
         ("bending", tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
         ("crouching", lowered),
-        (
-            "arms_raised",
-            (height["left_wrist"] > height["head"]) & (height["right_wrist"] > height["head"]),
-        ),
-        ("running", speed >= MIN_RUNNING_SPEED_M_S),
-        ("walking", speed >= MIN_WALKING_SPEED_M_S),
+        ("arms_raised", (wrists > height["head"][:, None]).all(axis=1)),
+        ("running", np.asarray(speed) >= MIN_RUNNING_SPEED_M_S),
+        ("walking", np.asarray(speed) >= MIN_WALKING_SPEED_M_S),
+        ("standing", True),
     )
-    return np.select(
-        [holds for _, holds in conditions],
-        [POSTURES.index(posture) for posture, _ in conditions],
-        POSTURES.index("standing"),
-    )
+    first = np.array([np.broadcast_to(holds, len(joints)) for _, holds in conditions]).argmax(axis=0)
+    return np.array([POSTURES.index(posture) for posture, _ in conditions])[first]
 
 
 def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
@@ -247,30 +231,18 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     return np.clip(elevation_deg, 0.0, _MAX_ELEVATION_DEG)
 
 
-def _has_seated_legs(bodies: _Skeletons, tilt_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether legs ``(N,)`` are bent as on a seat, below trunks with these tilts."""
-    thigh_sines, shank_sines = (
-        bodies.along_up(bones) / np.linalg.norm(bones, axis=-1)
-        for bones in (bodies.bones("hip", "knee"), bodies.bones("knee", "ankle"))
-    )
-    level = np.abs(_degrees(thigh_sines.mean(axis=1), np.arcsin)) < _MAX_LEVEL_THIGH_DEG
-    level &= _degrees(thigh_sines.max(axis=1), np.arcsin) < _MAX_STEEP_THIGH_DEG
-    steep = _degrees(shank_sines.min(axis=1), np.arcsin) > _MIN_SEATED_SHANK_DEG
-    return np.asarray(level & ((tilt_deg < _MAX_SEATED_TRUNK_DEG) | steep))
+def _distance_from_feet(
+    joints: NDArray[np.float64], along_up: NDArray[np.float64], up: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Horizontal distance ``(N,)`` of the centre of mass from lines between points of the feet.
 
-
-def _degrees(sine_or_cosine: NDArray[np.float64], inverse: np.ufunc) -> NDArray[np.float64]:
-    return np.rad2deg(inverse(np.clip(sine_or_cosine, -1, 1)))
-
-
-def _distance_from_feet(bodies: _Skeletons) -> NDArray[np.float64]:
-    """Horizontal distance ``(N,)`` of the centre of mass from lines between points of the feet."""
-    weighted = sum(share * bodies.at(name) for name, share in _MASSES.items())
-    centre = np.asarray(weighted) / sum(_MASSES.values())
-    feet = bodies.joints[:, _FEET] - centre[:, None]
-    feet -= bodies.along_up(feet)[..., None] * bodies.up[:, None]
+    Joints ``(N, 19, 3)`` are ``along_up`` ``(N, 19)`` along ``up`` ``(3,)`` or ``(N, 3)``.
+    """
+    feet = joints[:, _FEET] - (_MASSES @ joints)[:, None]
+    aside = along_up[:, _FEET] - (along_up @ _MASSES)[:, None]
+    feet -= aside[..., None] * up[..., None, :]
     start = feet[:, _FIRST]
     line = feet[:, _SECOND] - start
-    length = np.maximum((line**2).sum(axis=-1), 1e-12)
+    length = np.maximum(squared_lengths(line), 1e-12)
     share = np.clip(-(start * line).sum(axis=-1) / length, 0, 1)
-    return np.linalg.norm(start + share[..., None] * line, axis=-1).min(axis=1)
+    return np.sqrt(squared_lengths(start + share[..., None] * line).min(axis=1))
