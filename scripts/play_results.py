@@ -19,7 +19,7 @@ from scripts.results import RESULTS, ROOT
 CODE = ("app", "index", "descriptor")
 COMMANDS = {
     **{name: ("evaluate", name) for name in EXPERIMENTS},
-    **{name: (name, "--write") for name in ("bench", "profile", *RELIABILITY)},
+    **{name: (name, "--write") for name in ("bench", "peer", "profile", *RELIABILITY)},
 }
 """What measures each page, or each section of the page of reliability."""
 
