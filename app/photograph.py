@@ -14,7 +14,7 @@ from app.decoding.pictures import Workers
 from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, place_skeletons
-from app.estimation.posture import as_standing, likeliest_posture
+from app.estimation.posture import LANDMARK_GROUPS, as_standing, likeliest_posture
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.networks.dense import shipped_network
@@ -40,7 +40,6 @@ from index.artefact import load_index
 from index.landmark_matching import match_landmarks
 from index.matching import DEFAULT_HYPOTHESES, Match
 from index.nearest import match_nearest
-from index.posture import LANDMARK_GROUPS
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 

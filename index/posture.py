@@ -6,7 +6,6 @@ in the order of the table in ``docs/notes/index.md``; the first that holds decid
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -50,7 +49,10 @@ _MIN_VOTE = 1e-3
 
 
 class PostureGroups:
-    """Groups of :data:`POSTURES`, in the order in which the outputs of a network name them."""
+    """Groups of :data:`POSTURES`, in the order in which the outputs of a network name them.
+
+    ``column`` is 0 for what landmarks distinguish, 1 for silhouettes.
+    """
 
     def __init__(self, column: int, *names: str) -> None:
         self.names = names
@@ -73,9 +75,6 @@ class PostureGroups:
         return np.asarray((grouped / self.sums(within))[self.of] * within)
 
 
-LANDMARK_GROUPS = PostureGroups(
-    0, "standing", "bending", "crouching", "sitting", "all_fours", "lying"
-)
 SILHOUETTE_GROUPS = PostureGroups(
     1, "upright", "bending", "crouching", "kneeling", "sitting", "crawling", "lying"
 )
@@ -196,7 +195,9 @@ def classify_postures(
         ("walking", np.asarray(speed) >= MIN_WALKING_SPEED_M_S),
         ("standing", True),
     )
-    first = np.array([np.broadcast_to(holds, len(joints)) for _, holds in conditions]).argmax(axis=0)
+    first = np.array([np.broadcast_to(holds, len(joints)) for _, holds in conditions]).argmax(
+        axis=0
+    )
     return np.array([POSTURES.index(posture) for posture, _ in conditions])[first]
 
 

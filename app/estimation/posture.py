@@ -16,8 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box
-from app.vision.judgement import FramePosture
-from index.posture import LANDMARK_GROUPS, POSTURES, PostureName
+from app.vision.judgement import FRAME_POSTURES, FramePosture
+from index.posture import POSTURES, PostureGroups, PostureName
+
+LANDMARK_GROUPS = PostureGroups(0, *FRAME_POSTURES)
 
 MIN_PROBABILITY = 0.5
 """Probability from which a posture is reported; below it, the label is ``unclear``."""

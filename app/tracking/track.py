@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import (
+    LANDMARK_GROUPS,
     EstimatedPosture,
     PostureFilter,
 )
@@ -30,7 +31,6 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
 from index.posture import (
-    LANDMARK_GROUPS,
     POSTURES,
     SILHOUETTE_GROUPS,
     PostureName,

@@ -21,7 +21,6 @@ from app.vision.depth import HIPS, Body3D, DepthModel, body_of
 from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
-from index.posture import LANDMARK_GROUPS
 
 
 @dataclass(frozen=True)
@@ -35,7 +34,7 @@ class Trust:
     right: float
 
 
-FRAME_POSTURES = LANDMARK_GROUPS.names
+FRAME_POSTURES = "standing", "bending", "crouching", "sitting", "all_fours", "lying"
 
 
 @dataclass(frozen=True)

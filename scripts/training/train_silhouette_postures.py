@@ -20,11 +20,12 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from torch import nn
 
+from app.estimation.posture import LANDMARK_GROUPS
 from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu
-from index.posture import LANDMARK_GROUPS, SILHOUETTE_GROUPS, classify_postures
+from index.posture import SILHOUETTE_GROUPS, classify_postures
 from index.silhouette_posture import (
     INPUTS,
     MIN_VOTE,

@@ -11,13 +11,10 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.posture import (
-    LANDMARK_GROUPS,
     LOW,
     MIN_RUNNING_SPEED_M_S,
     MIN_WALKING_SPEED_M_S,
     POSTURES,
-    SILHOUETTE_GROUPS,
-    UPRIGHT,
     PostureName,
     camera_up,
     classify_postures,
@@ -210,19 +207,3 @@ def test_elevation_of_a_level_trunk_is_the_cameras(
         return
     seen = (level @ camera_rotation(azimuth, elevation).T)[None]
     assert lying_elevation_deg(seen) == pytest.approx([elevation], abs=1e-6)
-
-
-@given(
-    grouped=st.lists(st.floats(0, 1), min_size=6, max_size=6).filter(lambda one: sum(one) > 0),
-    votes=st.lists(st.floats(0, 1), min_size=10, max_size=10).filter(lambda one: sum(one) > 0),
-)
-def test_votes_split_a_group_and_leave_its_share(grouped: list[float], votes: list[float]) -> None:
-    given_shares, votes_ = np.array(grouped) / sum(grouped), np.array(votes) / sum(votes)
-    shares = LANDMARK_GROUPS.split(given_shares, votes_)
-    assert_allclose(LANDMARK_GROUPS.sums(shares), given_shares, atol=1e-12)
-    # Silhouettes distinguish all but the upright ones.
-    again = SILHOUETTE_GROUPS.split(SILHOUETTE_GROUPS.sums(shares), votes_)
-    low = [POSTURES.index(name) for name in POSTURES if name not in UPRIGHT]
-    assert_allclose(again[low], shares[low])
-    ahead = votes_[POSTURES.index("walking")] - votes_[POSTURES.index("standing")]
-    assert (again[POSTURES.index("walking")] >= again[POSTURES.index("standing")]) or ahead <= 0

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from index.posture import LANDMARK_GROUPS, classify_postures
+from app.estimation.posture import LANDMARK_GROUPS
+from index.posture import classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 from scripts.index.body import Avatar, turned_to_front
 from scripts.index.motion import Clip, read_manifest

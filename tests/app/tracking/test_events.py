@@ -4,11 +4,12 @@ from collections.abc import Iterable
 
 import pytest
 
+from app.estimation.posture import LANDMARK_GROUPS
 from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
 from app.tracking.results import Event
 from app.vision.geometry import Box
-from index.posture import LANDMARK_GROUPS, PostureName, vote_posture
+from index.posture import PostureName, vote_posture
 
 FPS = 10
 FRAME = (480, 640)
