@@ -99,9 +99,7 @@ FRAME = (
 class FrameUpload(Model):
     """A frame and, if known, where its people are."""
 
-    frame: bytes | None = Field(
-        default=None, description=f"{FRAME} Required unless a mask is given."
-    )
+    frame: bytes | None = Field(None, description=f"{FRAME} Required unless a mask is given.")
     mask: bytes | None = Field(
         default=None,
         description="Where the people are: an image of the frame's size, 0 background, k = person "
@@ -139,9 +137,7 @@ class Problem(Model):
         examples=["misfit"],
     )
     field: str | None = Field(
-        default=None,
-        description="The parameter or form field at fault, if any.",
-        examples=["mask"],
+        None, description="The parameter or form field at fault, if any.", examples=["mask"]
     )
 
 
@@ -149,19 +145,10 @@ class Problem(Model):
 # points, and creating them as models would take as long as everything else.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
-    """A point in an image."""
+    """A point in an image, from the centre of the top-left pixel."""
 
-    x: Annotated[
-        FiniteFloat,
-        Field(
-            description="Pixels from the centre of the top-left pixel to the right.",
-            examples=[431.2],
-        ),
-    ]
-    y: Annotated[
-        FiniteFloat,
-        Field(description="Pixels from the centre of the top-left pixel down.", examples=[190.4]),
-    ]
+    x: Annotated[FiniteFloat, Field(description="Pixels to the right.", examples=[431.2])]
+    y: Annotated[FiniteFloat, Field(description="Pixels down.", examples=[190.4])]
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -316,10 +303,7 @@ class ObservedKeypoint(Model):
 class Facing(Model):
     """Whether the person faces the camera, which a silhouette alone cannot show."""
 
-    front_probability: Score = Field(
-        description="Probability that the camera sees the person from the front.",
-        examples=[0.91],
-    )
+    front_probability: Score = Field(description="That of the front.", examples=[0.91])
     evidence: FacingSource = Field(
         description="The evidence for it: `image`, the keypoints that the photograph shows; "
         "`motion`, the direction in which a tracked person moves; `none`, the silhouette alone, "
@@ -353,9 +337,7 @@ class MotionSource(Model):
         description="What the clip shows there; a single frame cannot show what a person does.",
         examples=["walk"],
     )
-    mirrored: bool = Field(
-        description="Whether left and right of the clip were swapped.", examples=[False]
-    )
+    mirrored: bool = Field(description="Whether left and right were swapped.", examples=[False])
 
 
 class HypothesisSource(MotionSource):
@@ -525,19 +507,10 @@ class Timings(Model):
     decode: _Milliseconds = Field(description="Decoding the images.", examples=[3.1])
     detect: _Milliseconds = Field(description="Detecting people.", examples=[21.0])
     segment: _Milliseconds = Field(description="Cutting out silhouettes.", examples=[4.4])
-    keypoints: _Milliseconds = Field(
-        description="Reading keypoints from the photograph.", examples=[12.5]
-    )
-    describe: _Milliseconds = Field(
-        description="Normalising silhouettes to 128x48.", examples=[0.1]
-    )
-    search: _Milliseconds = Field(
-        description="Moments, nearest entries, and choosing distinct poses among them.",
-        examples=[0.4],
-    )
-    total: _Milliseconds = Field(
-        description="All work on this frame, without waiting and transport.", examples=[29.6]
-    )
+    keypoints: _Milliseconds = Field(description="Reading keypoints.", examples=[12.5])
+    describe: _Milliseconds = Field(description="Normalising silhouettes.", examples=[0.1])
+    search: _Milliseconds = Field(description="Moments, nearest, distinct poses.", examples=[0.4])
+    total: _Milliseconds = Field(description="All work, without waiting.", examples=[29.6])
 
 
 class PoseResponse(Model):
@@ -574,16 +547,10 @@ class IndexResponse(IndexVersion):
 
     entries: int = Field(description="Simulated silhouettes.", examples=[40000])
     descriptor: DescriptorSummary
-    joints: list[str] = Field(
-        description="Names of the native keypoints, in order.", examples=[["pelvis", "spine"]]
-    )
+    joints: list[str] = Field(description="The native keypoints.", examples=[["pelvis", "spine"]])
     bones: list[Bone] = Field(description="Lines between the native keypoints.")
-    actions: list[str] = Field(
-        description="Labels of the motions.", examples=[["walk", "jump", "climb"]]
-    )
-    subjects: list[str] = Field(
-        description="Names of the avatars.", examples=[["f-young-slim", "m-old-heavy"]]
-    )
+    actions: list[str] = Field(description="Labels of the motions.", examples=[["walk", "jump"]])
+    subjects: list[str] = Field(description="Names of the avatars.", examples=[["f-young-slim"]])
     parameters: dict[str, Any] = Field(
         description="How the index was built; its keys belong to the builder.",
         examples=[{"seed": 1}],

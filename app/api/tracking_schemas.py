@@ -117,11 +117,7 @@ class Zone(_Given):
 class CameraConfiguration(_Given):
     """The configuration of a camera."""
 
-    zones: list[Zone] = Field(
-        default=[],
-        max_length=MAX_ZONES,
-        description="All zones of the camera; by default none.",
-    )
+    zones: list[Zone] = Field([], max_length=MAX_ZONES, description="All zones of the camera.")
     fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
         None, description="Horizontal field of view, degrees, for frames that are sent without one."
     )
@@ -176,9 +172,7 @@ class SmoothedPose(Model):
 class Action(Model):
     """The action of a person, recognised from the motion."""
 
-    label: str = Field(
-        description="One of the actions of the index (`GET /index`).", examples=["walk"]
-    )
+    label: str = Field(description="One of the index's actions.", examples=["walk"])
     probability: Score = Field(description="Probability that the label is right.", examples=[0.88])
 
 
@@ -189,12 +183,8 @@ class TrackedPerson(Person):
     empty with `joints=none` and for a person who is hidden behind another one.
     """
 
-    track_id: int = Field(
-        ge=1, description="Identity of the person, unique for one camera.", examples=[3]
-    )
-    age_frames: int = Field(
-        ge=1, description="Frames since the track began, this one included.", examples=[41]
-    )
+    track_id: int = Field(ge=1, description="Identity, unique for one camera.", examples=[3])
+    age_frames: int = Field(ge=1, description="Frames of the track, with this one.", examples=[41])
     pose: SmoothedPose | None = Field(
         description="Smoothed over the frames so far. Null with `joints=none`, and if the person "
         "has had no silhouette for a second."
@@ -273,9 +263,7 @@ class Event(Model):
 
 
 class _TrackedFrame(PoseResponse):
-    frame_index: int = Field(
-        ge=0, description="Frames since the session began, from 0.", examples=[40]
-    )
+    frame_index: int = Field(ge=0, description="Frames of the session before it.", examples=[40])
     timestamp: Seconds = Field(
         description="Time of the frame, seconds: its timestamp, or the time since the session "
         "began.",
@@ -323,29 +311,19 @@ class CameraState(Model):
         description="Rotation of the camera, degrees, as configured. Null if not configured."
     )
     events: list[EventName] = Field(description="The events that the camera raises.")
-    frames: int = Field(
-        ge=0,
-        description="Frames since the session began; 0 where there is none.",
-        examples=[4120],
-    )
+    frames: int = Field(ge=0, description="Frames of the session, if any.", examples=[4120])
     timestamp: Seconds | None = Field(
         description="Time of the last frame, seconds. Null without a session.", examples=[412.0]
     )
     image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
-    track_ids: list[int] = Field(
-        description="The people in the last frame, left to right.", examples=[[3, 7]]
-    )
+    track_ids: list[int] = Field(description="The people in the last frame.", examples=[[3, 7]])
     age_s: Duration | None = Field(
-        description="Seconds since the first frame came. Null without a session.",
-        examples=[413.2],
+        description="Seconds since the first frame. Null without a session.", examples=[413.2]
     )
     idle_s: Duration | None = Field(
-        description="Seconds since the last frame came. Null without a session.",
-        examples=[0.1],
+        description="Seconds since the last frame. Null without a session.", examples=[0.1]
     )
-    memory_bytes: int = Field(
-        ge=0, description="Size of the session in memory.", examples=[2400000]
-    )
+    memory_bytes: int = Field(ge=0, description="Of the session, in memory.", examples=[2400000])
 
 
 class CameraEvents(Model):
@@ -414,9 +392,7 @@ class SequenceEnd(Model):
         "of the service.",
         examples=["complete"],
     )
-    detail: str = Field(
-        description="The reason as a sentence.", examples=["the video ended after 795 frames"]
-    )
+    detail: str = Field(description="A sentence.", examples=["the video ended after 795 frames"])
     frames: int = Field(ge=0, description="Frames processed.", examples=[795])
     damaged: int = Field(
         ge=0,

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import jinja2
 import pytest
 
-from app.bridge import common as common_module
+import app.bridge as common_module
 from app.bridge import home_assistant as module
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox, deliver
