@@ -122,23 +122,15 @@ class FrameUpload(Model):
 class Problem(Model):
     """An error, as RFC 9457 describes it."""
 
-    type: str = Field(
-        description="URI of the kind of problem; `about:blank` if the status describes it.",
-        examples=["about:blank"],
-    )
+    type: str = Field(description="`about:blank`: the status says it.", examples=["about:blank"])
     title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
     status: int = Field(description="The HTTP status.", examples=[422])
     detail: str = Field(
         description="What is wrong with this request, in one sentence.",
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
-    reason: str = Field(
-        description="The same for programs, as listed in running.md; more may be added.",
-        examples=["misfit"],
-    )
-    field: str | None = Field(
-        None, description="The parameter or form field at fault, if any.", examples=["mask"]
-    )
+    reason: str = Field(description="One word for programs: see running.md.", examples=["misfit"])
+    field: str | None = Field(None, description="The field at fault, if any.", examples=["mask"])
 
 
 # Points are dictionaries, validated with the model that contains them: a reply has hundreds of
@@ -242,8 +234,7 @@ class RunLengths(Model):
     """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
 
     counts: str = Field(
-        description="Counts of pixels outside and inside, alternately, down the columns.",
-        examples=["l]a76ja000000TZl5"],
+        description="Outside, inside, ..., by columns.", examples=["l]a76ja000000TZl5"]
     )
     size: list[int] = Field(
         min_length=2,
@@ -267,9 +258,7 @@ class SilhouetteSummary(Model):
         "body, or a nearer person hides it.",
         examples=[False],
     )
-    rle: RunLengths | None = Field(
-        description="Its pixels, as COCO's run lengths. Null unless requested by `silhouettes=rle`."
-    )
+    rle: RunLengths | None = Field(description="Its pixels. Null unless `silhouettes=rle`.")
     polygon: list[list[FiniteFloat]] | None = Field(
         description="Its outlines, as COCO's polygon: for each part `[x1, y1, x2, y2, ...]` in "
         "pixels of the frame, through the centres of the outermost pixels; holes are left out. "
@@ -333,10 +322,7 @@ class MotionSource(Model):
     clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
-    action: str = Field(
-        description="What the clip shows there; a single frame cannot show what a person does.",
-        examples=["walk"],
-    )
+    action: str = Field(description="What the clip shows, not the person.", examples=["walk"])
     mirrored: bool = Field(description="Whether left and right were swapped.", examples=[False])
 
 
@@ -361,9 +347,7 @@ class Camera(Model):
         "side.",
         examples=[45.0],
     )
-    elevation_deg: _Degrees = Field(
-        description="Degrees; height angle of the camera above the person.", examples=[15.0]
-    )
+    elevation_deg: _Degrees = Field(description="Height angle of the camera.", examples=[15.0])
     roll_deg: _Degrees = Field(
         description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
         "About 90 or -90 for a person who lies.",
@@ -440,9 +424,7 @@ class Hypothesis(Model):
         "skeleton (`GET /index/entries/{entry}`), before it was placed in front of the camera.",
         examples=[41.0],
     )
-    posture: PostureName = Field(
-        description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
-    )
+    posture: PostureName = Field(description="By rules (docs/index.md).", examples=["walking"])
     joints_3d: list[Point3D | None] | None = Field(
         description="The entry's skeleton fitted to this person, in metres and the person's size: "
         "interpolated between near entries, moved to the landmarks and placed on the lines of "
@@ -573,9 +555,7 @@ class EntryResponse(Model):
         description="Metres; camera axes (x right, y down, z forward), origin at the pelvis. "
         "Null where the entry lacks a keypoint."
     )
-    joints_2d: list[Point2D | None] = Field(
-        description="Pixels of the normalised 128x48 silhouette. Null as above."
-    )
+    joints_2d: list[Point2D | None] = Field(description="Pixels of 128x48. Null as above.")
 
 
 class DeepstackUpload(Model):
@@ -586,9 +566,7 @@ class DeepstackUpload(Model):
         default=0.4,
         description="Detections below this score are left out; 0.4 if it is missing.",
     )
-    api_key: str | None = Field(
-        default=None, description="Required if the operator has set keys, unless a header has one."
-    )
+    api_key: str | None = Field(default=None, description="As in the headers, if one is needed.")
 
 
 class DeepstackPrediction(Model):

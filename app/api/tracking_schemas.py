@@ -146,11 +146,7 @@ class CameraConfiguration(_Given):
 class SmoothedPose(Model):
     """The pose of a track, estimated from all of its frames so far."""
 
-    entry: int = Field(
-        ge=0,
-        description="Index entry of the hypothesis of this frame that the pose follows.",
-        examples=[20117],
-    )
+    entry: int = Field(ge=0, description="That of the pose's hypothesis.", examples=[20117])
     confidence: Probability = Field(
         description="Calibrated probability that the mean distance of the limb joints from the "
         "person's own, in the image, is under 5 px of the normalised 128x48 frame.",
@@ -301,15 +297,9 @@ class CameraState(Model):
         "order.",
         examples=[[]],
     )
-    fov_deg: FieldOfView | None = Field(
-        description="Horizontal field of view, degrees, as configured. Null if not configured."
-    )
-    pixel_aspect: PixelAspect | None = Field(
-        description="Width over height of a pixel, as configured. Null if not configured."
-    )
-    roll_deg: Roll | None = Field(
-        description="Rotation of the camera, degrees, as configured. Null if not configured."
-    )
+    fov_deg: FieldOfView | None = Field(description="As configured, or null.")
+    pixel_aspect: PixelAspect | None = Field(description="As configured, or null.")
+    roll_deg: Roll | None = Field(description="As configured, or null.")
     events: list[EventName] = Field(description="The events that the camera raises.")
     frames: int = Field(ge=0, description="Frames of the session, if any.", examples=[4120])
     timestamp: Seconds | None = Field(
@@ -317,12 +307,8 @@ class CameraState(Model):
     )
     image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
     track_ids: list[int] = Field(description="The people in the last frame.", examples=[[3, 7]])
-    age_s: Duration | None = Field(
-        description="Seconds since the first frame. Null without a session.", examples=[413.2]
-    )
-    idle_s: Duration | None = Field(
-        description="Seconds since the last frame. Null without a session.", examples=[0.1]
-    )
+    age_s: Duration | None = Field(description="Seconds since the first frame.", examples=[413.2])
+    idle_s: Duration | None = Field(description="Seconds since the last frame.", examples=[0.1])
     memory_bytes: int = Field(ge=0, description="Of the session, in memory.", examples=[2400000])
 
 
@@ -368,12 +354,8 @@ class TrackSummary(Model):
     """A person over a whole video."""
 
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
-    first_timestamp: Seconds = Field(
-        description="Time of the first frame with the person, seconds.", examples=[0.6]
-    )
-    last_timestamp: Seconds = Field(
-        description="Time of the last frame with the person, seconds.", examples=[12.4]
-    )
+    first_timestamp: Seconds = Field(description="Of the first frame, seconds.", examples=[0.6])
+    last_timestamp: Seconds = Field(description="Of the last frame, seconds.", examples=[12.4])
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
     action: Action | None = Field(
         description="The likeliest over all frames, with its mean probability. Null if none."
@@ -394,11 +376,7 @@ class SequenceEnd(Model):
     )
     detail: str = Field(description="A sentence.", examples=["the video ended after 795 frames"])
     frames: int = Field(ge=0, description="Frames processed.", examples=[795])
-    damaged: int = Field(
-        ge=0,
-        description="How many of them have the warning `damaged`.",
-        examples=[0],
-    )
+    damaged: int = Field(ge=0, description="Those with the warning `damaged`.", examples=[0])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
     events: list[Event] = Field(
         description="All events, in order; last, with the state `unconfirmed`, those that had "
