@@ -98,6 +98,12 @@ class Zone(_Given):
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_kind(cls, given: object) -> object:
+        # A missing one is refused like a wrong one: with the kinds that there are.
+        return {"kind": None, **given} if isinstance(given, dict) else given
+
     @field_validator("name")
     @classmethod
     def _is_printable(cls, name: str) -> str:
