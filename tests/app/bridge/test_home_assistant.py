@@ -146,6 +146,7 @@ def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> N
     def config(topic: str) -> dict[str, Any]:
         return json.loads(ward.subscriber.latest[f"homeassistant/{topic}/config"])
 
+    eventually(ward.shows(available="offline"))  # The subscriber is there.
     sent = [message(1, "entered"), message(2), {**message(3, "lying"), "state": "end"}]
     for one in sent:
         ward.outbox.put(one)
