@@ -81,14 +81,11 @@ class Settings(BaseSettings):
     max_pixels: int = Field(
         default=12_500_000,
         ge=1,
-        description="Width times height of the largest image; checked in its header, before "
-        "decoding.",
+        description="Width times height of the largest image; checked before decoding.",
     )
     max_persons: int = Field(default=50, ge=1, le=100, description="Most people in a frame.")
     max_requests: int = Field(
-        default=32,
-        ge=1,
-        description="Most uploads open at once, including those still being received.",
+        default=32, ge=1, description="Most uploads open at once, with those still being received."
     )
     concurrency: int = Field(
         default_factory=available_cores,
@@ -101,10 +98,10 @@ class Settings(BaseSettings):
         "longer than three quarters of this is refused at once.",
     )
     request_timeout_s: _Seconds = Field(
-        default=10.0, description="Longest time from the end of the upload to the reply."
+        default=10.0, description="Longest time from upload to reply."
     )
     upload_timeout_s: _Seconds = Field(
-        default=30.0, description="Longest upload; a slower client gets a 408."
+        default=30.0, description="Longest upload; a slower one gets a 408."
     )
 
     max_cameras: int = Field(
@@ -126,18 +123,18 @@ class Settings(BaseSettings):
     camera_memory_mb: int = Field(
         default=256,
         ge=1,
-        description="Memory of all camera sessions; the least recently used one is dropped.",
+        description="Memory of all sessions; the least recently used one is dropped.",
     )
 
     max_sequences: int = Field(
         default=2,
         ge=1,
-        description="Most videos processed at once, of one caller one less; one more gets a 503.",
+        description="Most videos at once, of one caller one less; one more gets a 503.",
     )
     max_video_bytes: int = Field(
         default=64 * 1024**2,
         ge=1024,
-        description="Largest request with a video, in bytes; it is kept in memory.",
+        description="Largest request with a video; it is kept in memory.",
     )
     video_upload_timeout_s: _Seconds = Field(
         default=120.0, description="Longest upload of a video."
@@ -147,7 +144,7 @@ class Settings(BaseSettings):
     )
     sequence_timeout_s: _Seconds = Field(
         default=900.0,
-        description="Longest time from the end of a video's upload to the last line of the reply.",
+        description="Longest time from a video's upload to the last line of the reply.",
     )
 
     api_keys: Annotated[tuple[SecretStr, ...], NoDecode] = Field(

@@ -99,9 +99,7 @@ FRAME = (
 class FrameUpload(Model):
     """A frame and, if known, where its people are."""
 
-    frame: bytes | None = Field(
-        default=None, description=f"{FRAME} Required unless a mask is given."
-    )
+    frame: bytes | None = Field(None, description=f"{FRAME} Required unless a mask is given.")
     mask: bytes | None = Field(
         default=None,
         description="Where the people are: an image of the frame's size, 0 background, k = person "
@@ -124,44 +122,25 @@ class FrameUpload(Model):
 class Problem(Model):
     """An error, as RFC 9457 describes it."""
 
-    type: str = Field(
-        description="URI of the kind of problem; `about:blank` if the status describes it.",
-        examples=["about:blank"],
-    )
+    type: str = Field(description="`about:blank`: the status says it.", examples=["about:blank"])
     title: str = Field(description="The status in words.", examples=["Unprocessable Entity"])
     status: int = Field(description="The HTTP status.", examples=[422])
     detail: str = Field(
         description="What is wrong with this request, in one sentence.",
         examples=["expected a mask of 768x576 pixels like the frame, got 640x480"],
     )
-    reason: str = Field(
-        description="The same for programs, as listed in running.md; more may be added.",
-        examples=["misfit"],
-    )
-    field: str | None = Field(
-        default=None,
-        description="The parameter or form field at fault, if any.",
-        examples=["mask"],
-    )
+    reason: str = Field(description="One word for programs: see running.md.", examples=["misfit"])
+    field: str | None = Field(None, description="The field at fault, if any.", examples=["mask"])
 
 
 # Points are dictionaries, validated with the model that contains them: a reply has hundreds of
 # points, and creating them as models would take as long as everything else.
 @with_config(ConfigDict(extra="forbid"))
 class Point2D(TypedDict):
-    """A point in an image."""
+    """A point in an image, from the centre of the top-left pixel."""
 
-    x: Annotated[
-        FiniteFloat,
-        Field(
-            description="Pixels from the centre of the top-left pixel to the right.",
-            examples=[431.2],
-        ),
-    ]
-    y: Annotated[
-        FiniteFloat,
-        Field(description="Pixels from the centre of the top-left pixel down.", examples=[190.4]),
-    ]
+    x: Annotated[FiniteFloat, Field(description="Pixels to the right.", examples=[431.2])]
+    y: Annotated[FiniteFloat, Field(description="Pixels down.", examples=[190.4])]
 
 
 @with_config(ConfigDict(extra="forbid"))
@@ -255,8 +234,7 @@ class RunLengths(Model):
     """A silhouette as COCO's compressed run lengths, which `pycocotools.mask.decode` reads."""
 
     counts: str = Field(
-        description="Counts of pixels outside and inside, alternately, down the columns.",
-        examples=["l]a76ja000000TZl5"],
+        description="Outside, inside, ..., by columns.", examples=["l]a76ja000000TZl5"]
     )
     size: list[int] = Field(
         min_length=2,
@@ -280,9 +258,7 @@ class SilhouetteSummary(Model):
         "body, or a nearer person hides it.",
         examples=[False],
     )
-    rle: RunLengths | None = Field(
-        description="Its pixels, as COCO's run lengths. Null unless requested by `silhouettes=rle`."
-    )
+    rle: RunLengths | None = Field(description="Its pixels. Null unless `silhouettes=rle`.")
     polygon: list[list[FiniteFloat]] | None = Field(
         description="Its outlines, as COCO's polygon: for each part `[x1, y1, x2, y2, ...]` in "
         "pixels of the frame, through the centres of the outermost pixels; holes are left out. "
@@ -316,10 +292,7 @@ class ObservedKeypoint(Model):
 class Facing(Model):
     """Whether the person faces the camera, which a silhouette alone cannot show."""
 
-    front_probability: Score = Field(
-        description="Probability that the camera sees the person from the front.",
-        examples=[0.91],
-    )
+    front_probability: Score = Field(description="That of the front.", examples=[0.91])
     evidence: FacingSource = Field(
         description="The evidence for it: `image`, the keypoints that the photograph shows; "
         "`motion`, the direction in which a tracked person moves; `none`, the silhouette alone, "
@@ -349,13 +322,8 @@ class MotionSource(Model):
     clip: str = Field(description="Name of the motion capture clip.", examples=["07_01"])
     frame: int = Field(description="Frame of the clip, zero-based.", examples=[34])
     subject: str = Field(description="Name of the avatar.", examples=["f-young-slim"])
-    action: str = Field(
-        description="What the clip shows there; a single frame cannot show what a person does.",
-        examples=["walk"],
-    )
-    mirrored: bool = Field(
-        description="Whether left and right of the clip were swapped.", examples=[False]
-    )
+    action: str = Field(description="What the clip shows, not the person.", examples=["walk"])
+    mirrored: bool = Field(description="Whether left and right were swapped.", examples=[False])
 
 
 class HypothesisSource(MotionSource):
@@ -379,9 +347,7 @@ class Camera(Model):
         "side.",
         examples=[45.0],
     )
-    elevation_deg: _Degrees = Field(
-        description="Degrees; height angle of the camera above the person.", examples=[15.0]
-    )
+    elevation_deg: _Degrees = Field(description="Height angle of the camera.", examples=[15.0])
     roll_deg: _Degrees = Field(
         description="Degrees; turn about the optical axis, positive turns the picture clockwise. "
         "About 90 or -90 for a person who lies.",
@@ -458,9 +424,7 @@ class Hypothesis(Model):
         "skeleton (`GET /index/entries/{entry}`), before it was placed in front of the camera.",
         examples=[41.0],
     )
-    posture: PostureName = Field(
-        description="Posture of this skeleton, by the rules in docs/index.md.", examples=["walking"]
-    )
+    posture: PostureName = Field(description="By rules (docs/index.md).", examples=["walking"])
     joints_3d: list[Point3D | None] | None = Field(
         description="The entry's skeleton fitted to this person, in metres and the person's size: "
         "interpolated between near entries, moved to the landmarks and placed on the lines of "
@@ -525,19 +489,10 @@ class Timings(Model):
     decode: _Milliseconds = Field(description="Decoding the images.", examples=[3.1])
     detect: _Milliseconds = Field(description="Detecting people.", examples=[21.0])
     segment: _Milliseconds = Field(description="Cutting out silhouettes.", examples=[4.4])
-    keypoints: _Milliseconds = Field(
-        description="Reading keypoints from the photograph.", examples=[12.5]
-    )
-    describe: _Milliseconds = Field(
-        description="Normalising silhouettes to 128x48.", examples=[0.1]
-    )
-    search: _Milliseconds = Field(
-        description="Moments, nearest entries, and choosing distinct poses among them.",
-        examples=[0.4],
-    )
-    total: _Milliseconds = Field(
-        description="All work on this frame, without waiting and transport.", examples=[29.6]
-    )
+    keypoints: _Milliseconds = Field(description="Reading keypoints.", examples=[12.5])
+    describe: _Milliseconds = Field(description="Normalising silhouettes.", examples=[0.1])
+    search: _Milliseconds = Field(description="Moments, nearest, distinct poses.", examples=[0.4])
+    total: _Milliseconds = Field(description="All work, without waiting.", examples=[29.6])
 
 
 class PoseResponse(Model):
@@ -574,16 +529,10 @@ class IndexResponse(IndexVersion):
 
     entries: int = Field(description="Simulated silhouettes.", examples=[40000])
     descriptor: DescriptorSummary
-    joints: list[str] = Field(
-        description="Names of the native keypoints, in order.", examples=[["pelvis", "spine"]]
-    )
+    joints: list[str] = Field(description="The native keypoints.", examples=[["pelvis", "spine"]])
     bones: list[Bone] = Field(description="Lines between the native keypoints.")
-    actions: list[str] = Field(
-        description="Labels of the motions.", examples=[["walk", "jump", "climb"]]
-    )
-    subjects: list[str] = Field(
-        description="Names of the avatars.", examples=[["f-young-slim", "m-old-heavy"]]
-    )
+    actions: list[str] = Field(description="Labels of the motions.", examples=[["walk", "jump"]])
+    subjects: list[str] = Field(description="Names of the avatars.", examples=[["f-young-slim"]])
     parameters: dict[str, Any] = Field(
         description="How the index was built; its keys belong to the builder.",
         examples=[{"seed": 1}],
@@ -606,9 +555,7 @@ class EntryResponse(Model):
         description="Metres; camera axes (x right, y down, z forward), origin at the pelvis. "
         "Null where the entry lacks a keypoint."
     )
-    joints_2d: list[Point2D | None] = Field(
-        description="Pixels of the normalised 128x48 silhouette. Null as above."
-    )
+    joints_2d: list[Point2D | None] = Field(description="Pixels of 128x48. Null as above.")
 
 
 class DeepstackUpload(Model):
@@ -619,9 +566,7 @@ class DeepstackUpload(Model):
         default=0.4,
         description="Detections below this score are left out; 0.4 if it is missing.",
     )
-    api_key: str | None = Field(
-        default=None, description="Required if the operator has set keys, unless a header has one."
-    )
+    api_key: str | None = Field(default=None, description="As in the headers, if one is needed.")
 
 
 class DeepstackPrediction(Model):

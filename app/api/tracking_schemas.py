@@ -98,6 +98,12 @@ class Zone(_Given):
         examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_kind(cls, given: object) -> object:
+        # A missing one is refused like a wrong one: with the kinds that there are.
+        return {"kind": None, **given} if isinstance(given, dict) else given
+
     @field_validator("name")
     @classmethod
     def _is_printable(cls, name: str) -> str:
@@ -117,11 +123,7 @@ class Zone(_Given):
 class CameraConfiguration(_Given):
     """The configuration of a camera."""
 
-    zones: list[Zone] = Field(
-        default=[],
-        max_length=MAX_ZONES,
-        description="All zones of the camera; by default none.",
-    )
+    zones: list[Zone] = Field([], max_length=MAX_ZONES, description="All zones of the camera.")
     fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
         None, description="Horizontal field of view, degrees, for frames that are sent without one."
     )
@@ -150,11 +152,7 @@ class CameraConfiguration(_Given):
 class SmoothedPose(Model):
     """The pose of a track, estimated from all of its frames so far."""
 
-    entry: int = Field(
-        ge=0,
-        description="Index entry of the hypothesis of this frame that the pose follows.",
-        examples=[20117],
-    )
+    entry: int = Field(ge=0, description="That of the pose's hypothesis.", examples=[20117])
     confidence: Probability = Field(
         description="Calibrated probability that the mean distance of the limb joints from the "
         "person's own, in the image, is under 5 px of the normalised 128x48 frame.",
@@ -176,9 +174,7 @@ class SmoothedPose(Model):
 class Action(Model):
     """The action of a person, recognised from the motion."""
 
-    label: str = Field(
-        description="One of the actions of the index (`GET /index`).", examples=["walk"]
-    )
+    label: str = Field(description="One of the index's actions.", examples=["walk"])
     probability: Score = Field(description="Probability that the label is right.", examples=[0.88])
 
 
@@ -189,12 +185,8 @@ class TrackedPerson(Person):
     empty with `joints=none` and for a person who is hidden behind another one.
     """
 
-    track_id: int = Field(
-        ge=1, description="Identity of the person, unique for one camera.", examples=[3]
-    )
-    age_frames: int = Field(
-        ge=1, description="Frames since the track began, this one included.", examples=[41]
-    )
+    track_id: int = Field(ge=1, description="Identity, unique for one camera.", examples=[3])
+    age_frames: int = Field(ge=1, description="Frames of the track, with this one.", examples=[41])
     pose: SmoothedPose | None = Field(
         description="Smoothed over the frames so far. Null with `joints=none`, and if the person "
         "has had no silhouette for a second."
@@ -273,9 +265,7 @@ class Event(Model):
 
 
 class _TrackedFrame(PoseResponse):
-    frame_index: int = Field(
-        ge=0, description="Frames since the session began, from 0.", examples=[40]
-    )
+    frame_index: int = Field(ge=0, description="Frames of the session before it.", examples=[40])
     timestamp: Seconds = Field(
         description="Time of the frame, seconds: its timestamp, or the time since the session "
         "began.",
@@ -313,39 +303,19 @@ class CameraState(Model):
         "order.",
         examples=[[]],
     )
-    fov_deg: FieldOfView | None = Field(
-        description="Horizontal field of view, degrees, as configured. Null if not configured."
-    )
-    pixel_aspect: PixelAspect | None = Field(
-        description="Width over height of a pixel, as configured. Null if not configured."
-    )
-    roll_deg: Roll | None = Field(
-        description="Rotation of the camera, degrees, as configured. Null if not configured."
-    )
+    fov_deg: FieldOfView | None = Field(description="As configured, or null.")
+    pixel_aspect: PixelAspect | None = Field(description="As configured, or null.")
+    roll_deg: Roll | None = Field(description="As configured, or null.")
     events: list[EventName] = Field(description="The events that the camera raises.")
-    frames: int = Field(
-        ge=0,
-        description="Frames since the session began; 0 where there is none.",
-        examples=[4120],
-    )
+    frames: int = Field(ge=0, description="Frames of the session, if any.", examples=[4120])
     timestamp: Seconds | None = Field(
         description="Time of the last frame, seconds. Null without a session.", examples=[412.0]
     )
     image: ImageSize | None = Field(description="Size of the last frame. Null without a session.")
-    track_ids: list[int] = Field(
-        description="The people in the last frame, left to right.", examples=[[3, 7]]
-    )
-    age_s: Duration | None = Field(
-        description="Seconds since the first frame came. Null without a session.",
-        examples=[413.2],
-    )
-    idle_s: Duration | None = Field(
-        description="Seconds since the last frame came. Null without a session.",
-        examples=[0.1],
-    )
-    memory_bytes: int = Field(
-        ge=0, description="Size of the session in memory.", examples=[2400000]
-    )
+    track_ids: list[int] = Field(description="The people in the last frame.", examples=[[3, 7]])
+    age_s: Duration | None = Field(description="Seconds since the first frame.", examples=[413.2])
+    idle_s: Duration | None = Field(description="Seconds since the last frame.", examples=[0.1])
+    memory_bytes: int = Field(ge=0, description="Of the session, in memory.", examples=[2400000])
 
 
 class CameraEvents(Model):
@@ -390,12 +360,8 @@ class TrackSummary(Model):
     """A person over a whole video."""
 
     track_id: int = Field(ge=1, description="Identity of the person.", examples=[3])
-    first_timestamp: Seconds = Field(
-        description="Time of the first frame with the person, seconds.", examples=[0.6]
-    )
-    last_timestamp: Seconds = Field(
-        description="Time of the last frame with the person, seconds.", examples=[12.4]
-    )
+    first_timestamp: Seconds = Field(description="Of the first frame, seconds.", examples=[0.6])
+    last_timestamp: Seconds = Field(description="Of the last frame, seconds.", examples=[12.4])
     frames: int = Field(ge=1, description="Frames with the person.", examples=[119])
     action: Action | None = Field(
         description="The likeliest over all frames, with its mean probability. Null if none."
@@ -414,15 +380,9 @@ class SequenceEnd(Model):
         "of the service.",
         examples=["complete"],
     )
-    detail: str = Field(
-        description="The reason as a sentence.", examples=["the video ended after 795 frames"]
-    )
+    detail: str = Field(description="A sentence.", examples=["the video ended after 795 frames"])
     frames: int = Field(ge=0, description="Frames processed.", examples=[795])
-    damaged: int = Field(
-        ge=0,
-        description="How many of them have the warning `damaged`.",
-        examples=[0],
-    )
+    damaged: int = Field(ge=0, description="Those with the warning `damaged`.", examples=[0])
     tracks: list[TrackSummary] = Field(description="Ordered by their ids.")
     events: list[Event] = Field(
         description="All events, in order; last, with the state `unconfirmed`, those that had "

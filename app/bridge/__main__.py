@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import NoReturn
 from urllib.parse import SplitResult, urlsplit
 
+from app.bridge import RefusedError, printable, say
 from app.bridge.bridge import Bridge
-from app.bridge.common import RefusedError, printable, say
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Outbox, deliver
 from app.bridge.source import Source

@@ -9,11 +9,12 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from app.bridge.common import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
+from app.bridge import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox
-from app.bridge.source import Frame, Source
+from app.bridge.source import Source
 from app.bridge.web import Camera
+from app.decoding import Frame
 
 STATUS_EVERY_S = 10.0
 # Time without a sighting after which a person is gone; a session looks for nobody longer.

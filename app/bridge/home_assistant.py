@@ -23,7 +23,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from app import VERSION
-from app.bridge.common import Trouble, UnavailableError, say
+from app.bridge import Trouble, UnavailableError, say
 from app.bridge.outbox import Message
 
 BLIND_AFTER_S = 15.0

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from app.bridge.common import RefusedError, Trouble, UnavailableError, say
+from app.bridge import RefusedError, Trouble, UnavailableError, say
 
 Message = Mapping[str, Any]
 

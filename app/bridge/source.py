@@ -6,13 +6,13 @@ import time
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.bridge.common import Trouble, say
+from app.bridge import Trouble, say
+from app.decoding import Frame
 from app.decoding.videos import Decoder, VideoError
 
 # A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
@@ -23,16 +23,11 @@ _JUMP_S = 10.0
 _POLL_S = 0.2
 
 
-class Frame(NamedTuple):
-    """A frame: the number of frames before it, Unix seconds and BGR pixels."""
-
-    number: int
-    timestamp: float
-    pixels: NDArray[np.uint8]
-
-
 class Source:
-    """Reads up to ``fps`` frames a second in a thread of its own and keeps only the newest."""
+    """Reads up to ``fps`` frames a second in a thread of its own and keeps only the newest.
+
+    Their timestamps are Unix seconds, their numbers those of frames before them.
+    """
 
     def __init__(self, source: str, fps: float = math.inf) -> None:
         self._source, self._interval_s = source, 1 / fps

@@ -12,9 +12,9 @@ from urllib.parse import SplitResult, unquote, urlencode
 
 import cv2
 
-from app.bridge.common import RETRY_AFTER_S, RefusedError, UnavailableError
+from app.bridge import RETRY_AFTER_S, RefusedError, UnavailableError
 from app.bridge.outbox import Message
-from app.bridge.source import Frame
+from app.decoding import Frame
 
 _FRAME_TIMEOUT_S, _EVENT_TIMEOUT_S = 20.0, 10.0
 _MAX_REPLY_BYTES = 16 * 2**20

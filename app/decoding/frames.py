@@ -142,9 +142,8 @@ class Video:
                     failed |= packet.is_corrupt or bool(messages)
                     for picture in pictures:
                         # Damage lasts until a picture that builds on no other.
-                        damaged = (
-                            failed or picture.is_corrupt or (damaged and not picture.key_frame)
-                        )
+                        damaged &= not picture.key_frame
+                        damaged |= failed or picture.is_corrupt
                         failed = False
                         # The deinterlacer passes `opaque` on. PyAV tells these objects apart by
                         # identity, so each picture gets a list of its own.

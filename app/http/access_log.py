@@ -116,6 +116,9 @@ class JsonFormatter(logging.Formatter):
         return json.dumps(line, default=str)
 
 
+_STDOUT = "ext://sys.stdout"
+
+
 def log_config(level: str) -> dict[str, Any]:
     """Return a configuration for :func:`logging.config.dictConfig`: all to standard output."""
     return {
@@ -123,11 +126,7 @@ def log_config(level: str) -> dict[str, Any]:
         "disable_existing_loggers": False,
         "formatters": {"json": {"()": "app.http.access_log.JsonFormatter"}},
         "handlers": {
-            "out": {
-                "class": "logging.StreamHandler",
-                "formatter": "json",
-                "stream": "ext://sys.stdout",
-            }
+            "out": {"class": "logging.StreamHandler", "formatter": "json", "stream": _STDOUT}
         },
         "root": {"handlers": ["out"], "level": "WARNING"},
         "loggers": {

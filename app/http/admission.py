@@ -92,9 +92,9 @@ class _Upload:
 class AdmissionMiddleware:
     """ASGI middleware that refuses uploads which are too large, too slow or too many.
 
-    ``check`` raises :class:`app.scheduling.job.BusyError` if the request would be refused later. At
-    most ``max_open`` requests with a body are received or answered at the same time. Pages of
-    ``origins`` may send uploads, besides the service's own; ``*`` means all.
+    ``check`` raises BusyError if the request would be refused later. At most ``max_open`` requests
+    with a body are received or answered at the same time. Pages of ``origins`` may send uploads,
+    besides the service's own; ``*`` means all.
     """
 
     def __init__(
@@ -144,9 +144,8 @@ class AdmissionMiddleware:
             return _too_many()
         encoding = headers.get("content-encoding", "identity")
         if encoding.lower() != "identity":
-            return ProblemError(
-                415, f"expected a body without Content-Encoding, got {encoding[:40]}"
-            )
+            got = f"expected a body without Content-Encoding, got {encoding[:40]}"
+            return ProblemError(415, got)
         length = headers.get("content-length", "")
         if length.isdigit() and int(length) > limits.max_bytes:
             return _too_large(limits)
@@ -226,6 +225,5 @@ def _too_many() -> ProblemError:
 
 
 def _too_large(limits: UploadLimits) -> ProblemError:
-    return ProblemError(
-        413, f"expected a request of at most {limits.max_bytes} bytes", reason="too_many_bytes"
-    )
+    most = f"expected a request of at most {limits.max_bytes} bytes"
+    return ProblemError(413, most, reason="too_many_bytes")

@@ -16,7 +16,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.registry import Collector
 
 from app.cameras import CameraTraffic, EndReason
-from app.estimation.results import Person
+from app.estimation.results import Estimate
 from app.settings import Settings
 from app.tracking.results import Event
 
@@ -150,11 +150,11 @@ class Metrics:
             if duration > 0:
                 self._stages.labels(stage).observe(duration / 1000)
 
-    def observe_persons(self, persons: Iterable[Person]) -> None:
-        """Count the persons of one frame and the confidence of their best poses."""
-        persons = tuple(persons)
-        self._persons.observe(len(persons))
-        for person in persons:
+    def observe_frame(self, seen: Estimate) -> None:
+        """Count the times of one frame, its people and the confidence of their best poses."""
+        self.observe_stages(seen.timings_ms)
+        self._persons.observe(len(seen.persons))
+        for person in seen.persons:
             if person.hypotheses:
                 self._confidence.observe(person.hypotheses[0].confidence)
 

@@ -83,10 +83,7 @@ class HttpProtocol(asyncio.Protocol):
             self._parse()
 
     def eof_received(self) -> bool:
-        """Keep the connection of a client that has sent a whole request and waits for the reply.
-
-        One that has hung up looks the same until something is written to it.
-        """
+        """Keep a client that has sent a whole request, which looks like one that has hung up."""
         self._sends_no_more = True
         if self._exchange.is_received:
             self._loop.call_later(self.half_closed_s, self._exchange.lose_patience)
@@ -109,10 +106,7 @@ class HttpProtocol(asyncio.Protocol):
             self._close()
 
     async def write(self, *parts: bytes) -> None:
-        """Send bytes, and wait until all but a few kilobytes have left.
-
-        The connection of a client that reads too little of them is ended.
-        """
+        """Send bytes, and wait until most have left; end the connection of who reads too little."""
         for part in parts:
             self.transport.write(part)
         while not self._writable.is_set():
@@ -215,10 +209,7 @@ class HttpProtocol(asyncio.Protocol):
 
 
 class _Exchange:
-    """A request, or the place of the next one, and its reply: h11 on one side, ASGI on the other.
-
-    A request that asks for another protocol is answered as if it had not (RFC 9110, 7.8).
-    """
+    """A request, or the place of the next one, and its reply: from h11 to ASGI and back."""
 
     scope: Scope
 

@@ -71,6 +71,5 @@ async def get_entry_silhouette(entry: EntryNumber, estimator: EstimatorDep) -> R
 
 def _check_number(entry: int, estimator: Estimator) -> None:
     if entry >= len(estimator.index):
-        raise ProblemError(
-            404, f"expected an entry from 0 to {len(estimator.index) - 1}, got {entry}"
-        )
+        last = len(estimator.index) - 1
+        raise ProblemError(404, f"expected an entry from 0 to {last}, got {entry}")

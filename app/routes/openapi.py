@@ -108,11 +108,11 @@ def _mend_operation(operation: dict[str, Any]) -> None:
     for status, response in operation["responses"].items():
         names = ["X-Request-ID"] + ["Retry-After"] * (status == "503")
         names += ["X-Session"] * (operation["operationId"] == "track_frame")
-        if "content" in response:  # JSON first: generated clients take it.
-            response["content"] = dict(
-                sorted(response["content"].items(), key=lambda item: item[0] != "application/json")
-            )
-        for content in response.get("content", {}).values():
+        contents = response.get("content", {})
+        if "application/json" in contents:  # Generated clients take the first.
+            json = {"application/json": contents["application/json"]}
+            response["content"] = contents = json | contents
+        for content in contents.values():
             if "anyOf" in content["schema"]:
                 # FastAPI also describes lines of JSON as a string.
                 content["schema"] = {"anyOf": content["schema"]["anyOf"]}
@@ -128,9 +128,8 @@ def _form_field(schema: dict[str, Any]) -> dict[str, Any]:
     A form has no null: an optional field is missing. Generators treat a field with a default as one
     that is always present. Swagger UI fills in an example, if only "string", and sends it.
     """
-    kind: dict[str, Any] = next(
-        (part for part in schema.get("anyOf", ()) if part != {"type": "null"}), {}
-    )
+    kinds = [part for part in schema.get("anyOf", ()) if part != {"type": "null"}]
+    kind = kinds[0] if kinds else {}
     kept = {k: v for k, v in schema.items() if k not in ("anyOf", "default", "examples")}
     return kind | kept | ({"examples": [""]} if "default" in schema else {})
 

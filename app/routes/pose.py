@@ -58,8 +58,7 @@ async def estimate_pose(
 
     def work(job: Job) -> bytes:
         estimate = estimator.estimate(query.of(upload), query.n, job, query.evidence)
-        runtime.metrics.observe_stages(estimate.timings_ms)
-        runtime.metrics.observe_persons(estimate.persons)
+        runtime.metrics.observe_frame(estimate)
         reply = pose_reply(estimate, estimator.index, query.form, job.checkpoint)
         return reply.model_dump_json().encode()
 

@@ -145,8 +145,7 @@ async def analyse_sequence(
     )
 
     def write(tracked: TrackedFrame, number: int) -> bytes:
-        metrics.observe_stages(tracked.timings_ms)
-        metrics.observe_persons(tracked.persons)
+        metrics.observe_frame(tracked)
         fields = tracked_fields(tracked, estimator.index, query.form)
         frame = SequenceFrame(type="frame", video_frame=number, **fields)
         return frame.model_dump_json().encode()

@@ -36,10 +36,9 @@ class Executor:
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
         self.queue = FairQueue(frames, min(max_wait_s, timeout_s))
         self._timeout_s = timeout_s
-        self._threads = ThreadPoolExecutor(frames, "frame", initializer=lower_thread_priority)
-        self._helpers = ThreadPoolExecutor(
-            max(1, frames - 1), "helper", initializer=lower_thread_priority
-        )
+        helpers, lower = max(1, frames - 1), lower_thread_priority
+        self._threads = ThreadPoolExecutor(frames, "frame", initializer=lower)
+        self._helpers = ThreadPoolExecutor(helpers, "helper", initializer=lower)
         self._jobs: set[Job] = set()
 
     async def run(

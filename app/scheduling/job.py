@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -40,17 +40,11 @@ class ClientGoneError(Exception):
     """The client has closed the connection."""
 
 
-class ParallelMap(Protocol):
-    """Calls a function with each item and returns the results in order."""
-
-    def __call__(
-        self, function: Callable[[Item], Result], items: Iterable[Item], /
-    ) -> list[Result]:
-        """Call it."""
-        ...
+ParallelMap = Callable[[Callable[[Any], Any], Iterable[Any]], list[Any]]
+"""Calls a function with each item and returns the results in order."""
 
 
-def serial_map(function: Callable[[Item], Result], items: Iterable[Item], /) -> list[Result]:
+def serial_map(function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
     """Call a function with each item in turn; used without an executor."""
     return [function(item) for item in items]
 

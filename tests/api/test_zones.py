@@ -106,7 +106,10 @@ class TestFile:
             ("[]", "expected a JSON object, got []"),
             ('{"../yard": {}}', "../yard: expected text of the form"),
             ('{"yard": {"zone": []}}', "yard: expected one of the fields zones, fov_deg,"),
-            ('{"yard": {"zones": [{"name": "bed"}]}}', "yard.zones[0].kind: expected a value"),
+            (
+                '{"yard": {"zones": [{"name": "bed"}]}}',
+                "yard.zones[0].kind: expected 'rest' or 'watch'",
+            ),
         ],
     )
     def test_a_wrong_file_is_refused_in_a_sentence(

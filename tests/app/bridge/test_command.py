@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import app.bridge as common_module
 from app.bridge import bridge as bridge_module
-from app.bridge import common as common_module
 from app.bridge import source as source_module
 from app.bridge.__main__ import run
 from app.bridge.outbox import Outbox

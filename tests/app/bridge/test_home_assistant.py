@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import jinja2
 import pytest
 
-from app.bridge import common as common_module
+import app.bridge as common_module
 from app.bridge import home_assistant as module
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox, deliver
@@ -146,6 +146,7 @@ def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> N
     def config(topic: str) -> dict[str, Any]:
         return json.loads(ward.subscriber.latest[f"homeassistant/{topic}/config"])
 
+    eventually(ward.shows(available="offline"))  # The subscriber is there.
     sent = [message(1, "entered"), message(2), {**message(3, "lying"), "state": "end"}]
     for one in sent:
         ward.outbox.put(one)

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.bridge import common, outbox
-from app.bridge.common import RefusedError, UnavailableError
+import app.bridge as common
+from app.bridge import RefusedError, UnavailableError, outbox
 from app.bridge.outbox import Message, Outbox, deliver
 from tests.app.bridge.servers import full_disk
 

@@ -11,8 +11,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from app.bridge import common, web
-from app.bridge.common import RefusedError, UnavailableError, printable, say
+import app.bridge as common
+from app.bridge import RefusedError, UnavailableError, printable, say, web
 from app.bridge.outbox import Outbox, deliver
 from app.bridge.web import Webhook
 from tests.app.bridge.servers import Webhook as FakeWebhook
