@@ -23,6 +23,7 @@ from app.tracking.track import Track, associate
 from app.tracking.view import View
 from app.tracking.zones import Zone, is_outside
 from app.vision.appearance import Patch, colours_of
+from app.vision.halved import Frame
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
@@ -155,7 +156,8 @@ class CameraSession:
         if empty is not None:
             self._watch(timestamp, empty.shape)
             return self._answered(empty.shown(zones), timestamp, arrived, (), job)
-        decoded = self._estimator.decode(upload, job)
+        half_of = self._halved_shape(upload, evidence)
+        decoded = self._estimator.decode(upload, job, half_of=half_of)
         frame, rectification = decoded.frame, decoded.rectification
         warnings = (*decoded.warnings, *_warnings(zones, decoded.sent.shape))
         zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
@@ -198,9 +200,8 @@ class CameraSession:
         if (
             empty is None
             or upload.optics != empty.optics
-            or upload.given != ("frame",)
+            or not _is_photograph_alone(upload, evidence)
             or not isinstance(data, bytes)
-            or evidence != "photograph"
             or self._reset
             or not 0 <= timestamp - self._timestamp <= _MAX_GAP_S
         ):
@@ -210,6 +211,14 @@ class CameraSession:
                 return None
         job.checkpoint()
         return empty
+
+    def _halved_shape(self, upload: Upload, evidence: Evidence) -> tuple[int, ...] | None:
+        """The shape of the frame before, if half the size of such a frame shows all its people."""
+        before = self._rectification
+        if before is None or not _is_photograph_alone(upload, evidence):
+            return None
+        shape = (*before.sent, 3)
+        return shape if self._detector.half_suffices(shape, self._tracks) else None
 
     def _answered(
         self,
@@ -370,7 +379,7 @@ class CameraSession:
                 self._given_ids += 1
                 self._events.append(track.confirm(self._given_ids, timestamp, zones))
 
-    def _drop_unseen(self, frame: NDArray[np.uint8], timestamp: float) -> None:
+    def _drop_unseen(self, frame: Frame, timestamp: float) -> None:
         """End the tracks of people who are no longer visible.
 
         A fallen person stays at the last place until the picture changes there. A person hidden
@@ -429,6 +438,10 @@ class CameraSession:
         return tuple(tracked)
 
 
+def _is_photograph_alone(upload: Upload, evidence: Evidence) -> bool:
+    return upload.given == ("frame",) and evidence == "photograph"
+
+
 def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPerson:
     """A tracked person in pixels and axes of the frame as sent."""
     pose = tracked.pose and replace(
@@ -439,7 +452,7 @@ def _as_sent(tracked: TrackedPerson, rectification: Rectification) -> TrackedPer
     return replace(tracked.as_sent(rectification), pose=pose)
 
 
-def _with_looks(person: Person, frame: NDArray[np.uint8]) -> Person:
+def _with_looks(person: Person, frame: Frame) -> Person:
     """A person with the picture of their place and the colours of their clothes."""
     if person.patch is not None:
         return person  # It is unchanged.

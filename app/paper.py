@@ -35,6 +35,7 @@ from app.vision.detectors.hog import HogDetector
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box
 from app.vision.grabcut import cut_out_by_colour
+from app.vision.halved import Frame, whole
 from app.vision.people import Detection, Silhouette
 from index.skeleton import rows
 from index.store import PoseIndex
@@ -120,14 +121,14 @@ class PaperFinder(PeopleFinder):
 
     def search(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         job: Job,
         lost: Sequence[Box] = (),
         known: Sequence[Box] = (),
     ) -> tuple[list[Detection], list[Detection]]:
         """Detect the people of a whole frame; nobody is perhaps beside them."""
         with job.stage("detect"):
-            people = detect_people(frame, self.min_person_px)
+            people = detect_people(whole(frame), self.min_person_px)
         job.checkpoint()
         return self._most(people, job), []
 
@@ -143,7 +144,7 @@ class PaperFinder(PeopleFinder):
             return source, found, [], None
         cut = partial(
             extract_silhouettes,
-            upload.frame,
+            whole(upload.frame),
             background=upload.background,
             shape=self._shape,
             checkpoint=job.checkpoint,

@@ -206,11 +206,22 @@ class Estimator:
         decoded = self.decode(upload, job)
         return _answer(decoded, self.finder.find(decoded, evidence, job), job)
 
-    def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
-        """Decode the images of an upload, as :meth:`UploadDecoder.decode` does."""
+    def decode(
+        self,
+        upload: Upload,
+        job: Job,
+        *,
+        blank: bool = False,
+        half_of: tuple[int, ...] | None = None,
+    ) -> DecodedUpload:
+        """Decode the images of an upload, as :meth:`UploadDecoder.decode` does.
+
+        With ``half_of``, the shape of a frame of which half the size suffices, that if possible.
+        """
         job.checkpoint()
         with job.stage("decode"):
-            decoded = self._decoder.decode(upload, job, blank=blank)
+            half = half_of and DecodedUpload.halved(upload, half_of, job.checkpoint)
+            decoded = half or self._decoder.decode(upload, job, blank=blank)
         job.checkpoint()
         if decoded.mask is not None:
             check_bodies(decoded.mask, self.index)

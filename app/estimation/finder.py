@@ -4,17 +4,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import cut_out_changed, foreground, upright_regions
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector
-from app.vision.detectors.tiles import smallest_person_px
+from app.vision.detectors.tiles import smallest_person_px, tiles_of
 from app.vision.geometry import Box, PersonWindow
+from app.vision.halved import Frame, whole
 from app.vision.judgement import Judgement, PhotographModels
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
@@ -110,6 +108,12 @@ class PeopleFinder:
         """Height of the smallest person wanted in a frame of this shape, pixels."""
         return smallest_person_px(frame_shape, self.min_person_px)
 
+    def search_scale(self, frame_shape: tuple[int, ...]) -> float:
+        """Scale at which a search sees a frame of this shape, that of the finest tile."""
+        height, width = frame_shape[:2]
+        tiles = tiles_of(width, height, self.min_person_px)
+        return max((tile.factor for tile in tiles), default=1.0)
+
     def find(self, upload: DecodedUpload, evidence: Evidence, job: Job) -> list[Person]:
         """Find the people of a frame with their silhouettes, in no particular order.
 
@@ -143,7 +147,7 @@ class PeopleFinder:
         changed = cut = None
         if upload.background is not None:
             with job.stage("segment"):
-                changed = foreground(frame, upload.background)
+                changed = foreground(whole(frame), upload.background)
             cut = partial(cut_out_changed, changed, checkpoint=job.checkpoint)
         if upload.boxes is not None:
             return "boxes", [Detection(box, 1.0) for box in upload.boxes], [], cut
@@ -161,7 +165,7 @@ class PeopleFinder:
 
     def search(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         job: Job,
         lost: Sequence[Box] = (),
         known: Sequence[Box] = (),
@@ -176,9 +180,7 @@ class PeopleFinder:
         job.checkpoint()
         return self._most(people, job), beside[: max(0, self.max_persons - len(people))]
 
-    def read(
-        self, frame: NDArray[np.uint8], targets: Sequence[Target], job: Job
-    ) -> list[PoseReading | None]:
+    def read(self, frame: Frame, targets: Sequence[Target], job: Job) -> list[PoseReading | None]:
         """Read landmarks of people, without their masks.
 
         None stands for a track's window that no longer shows a person, and for targets left out.
@@ -257,7 +259,7 @@ class PeopleFinder:
 
     def _bodies(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         targets: Sequence[Target],
         perhaps_beside: Sequence[Detection],
         job: Job,
@@ -276,7 +278,7 @@ class PeopleFinder:
         return bodies + self._read_beside(frame, hidden, bodies, job), shows
 
     def _read_beside(
-        self, frame: NDArray[np.uint8], hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
+        self, frame: Frame, hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
     ) -> list[_Body]:
         """New bodies that detections show when they are read beside known bodies.
 

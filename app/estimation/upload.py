@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from app.decoding.pictures import Allowance, Workers
 from app.scheduling.job import Job
 from app.vision.geometry import Box
+from app.vision.halved import Frame
 from app.vision.images import (
     ImageError,
     ImageTooLargeError,
@@ -21,6 +22,7 @@ from app.vision.images import (
     Photograph,
     blank_image,
     decode_image,
+    halved,
     is_expensive,
 )
 from app.vision.masks import LabelImage, decode_mask, mask_of
@@ -162,7 +164,7 @@ class DecodedUpload:
     """
 
     sent: NDArray[np.uint8]
-    frame: NDArray[np.uint8]
+    frame: Frame
     has_frame: bool
     mask: LabelImage | None
     background: NDArray[np.uint8] | None
@@ -170,6 +172,31 @@ class DecodedUpload:
     camera: PinholeCamera
     rectification: Rectification
     warnings: tuple[ImageWarning, ...] = ()
+
+    @classmethod
+    def halved(
+        cls, upload: Upload, shape: tuple[int, ...], checkpoint: Callable[[], None]
+    ) -> DecodedUpload | None:
+        """A frame alone, of a shape known, decoded at half its size; ``sent`` stays black.
+
+        None if all of it has to be decoded.
+        """
+        rectification = Rectification.of_frame(shape, upload.optics)
+        if not isinstance(upload.frame, bytes) or rectification.changes:
+            return None
+        if (found := halved(upload.frame, shape, checkpoint)) is None:
+            return None
+        return cls(
+            sent=np.broadcast_to(np.zeros(1, np.uint8), shape),
+            frame=found[0],
+            has_frame=True,
+            mask=None,
+            background=None,
+            boxes=None,
+            camera=PinholeCamera.of_frame(shape, upload.optics.fov_deg),
+            rectification=rectification,
+            warnings=found[1],
+        )
 
 
 @dataclass(frozen=True)

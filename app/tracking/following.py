@@ -24,8 +24,9 @@ from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.track import Track
-from app.vision.blazepose import PoseReading
+from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
+from app.vision.halved import HALF, Frame, seen_at
 from app.vision.images import reduced_grey
 from app.vision.people import Detection
 from app.vision.person_reader import MOVENET_FROM_PX
@@ -103,6 +104,15 @@ class TrackedPeopleDetector:
         job.left_out = max(0, self._left_out - followed_beyond)
         return everyone, in_window
 
+    def half_suffices(self, shape: tuple[int, ...], tracks: Sequence[Track]) -> bool:
+        """Whether half the size of a frame shows all that a search and the tracks need.
+
+        If it shows somebody new who is small, all of the frame is decoded besides.
+        """
+        windows = [track.next_window for track in tracks]
+        are_large = all(one is not None and HALF * one.side >= LANDMARK_PX for one in windows)
+        return are_large and self._finder.search_scale(shape) <= HALF
+
     def shows_nothing_new(self, data: bytes, shape: tuple[int, ...], timestamp: float) -> bool:
         """Whether a JPEG file alone shows that a scene without tracks is still empty.
 
@@ -115,7 +125,7 @@ class TrackedPeopleDetector:
         return self._scene.is_still_in_file(data, shape, smallest, timestamp)
 
     def _targets(
-        self, frame: NDArray[np.uint8], timestamp: float, tracks: Sequence[Track], job: Job
+        self, frame: Frame, timestamp: float, tracks: Sequence[Track], job: Job
     ) -> _Wanted:
         """What is to be read in a frame.
 
@@ -149,7 +159,7 @@ class TrackedPeopleDetector:
 
     def _searched(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         timestamp: float,
         expected: Expected,
         lost: Sequence[Track],
@@ -173,9 +183,7 @@ class TrackedPeopleDetector:
             targets.append(Target(one, unseen.pop(near) if near and is_there else None))
         return _Wanted(targets, beside, unseen, {})
 
-    def _in_windows(
-        self, frame: NDArray[np.uint8], timestamp: float, expected: Expected, job: Job
-    ) -> _Wanted:
+    def _in_windows(self, frame: Frame, timestamp: float, expected: Expected, job: Job) -> _Wanted:
         """The tracks whose windows still show their person, with readings, and unchanged people."""
         unchanged = _unchanged(frame, timestamp, expected)
         moving = {track: window for track, window in expected.items() if track not in unchanged}
@@ -194,9 +202,7 @@ class _Wanted(NamedTuple):
     unchanged: dict[Track, Person]
 
 
-def _unchanged(
-    frame: NDArray[np.uint8], timestamp: float, expected: Expected
-) -> dict[Track, Person]:
+def _unchanged(frame: Frame, timestamp: float, expected: Expected) -> dict[Track, Person]:
     """The tracked people in whose places nothing has changed, and no other person is expected."""
     places = {track: track.box_filter.predict(timestamp) for track in expected}
     unchanged = {}
@@ -296,14 +302,14 @@ class _Scene:
         self._changed_at = self._still_at = -math.inf
 
     def is_still(
-        self, frame: NDArray[np.uint8], smallest_px: float, time: float, tracks: Sequence[Track]
+        self, frame: Frame, smallest_px: float, time: float, tracks: Sequence[Track]
     ) -> bool:
         """Whether nothing has changed for a while; the first frame counts as a change.
 
         The smallest person wanted is ``smallest_px`` high in the frame.
         """
         scale, (height, width) = _small(frame.shape, smallest_px)
-        small = shrink_quickly(frame, width, height)
+        small = shrink_quickly(seen_at(frame, scale)[0], width, height)
         self.now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
         places = [track.box_filter.predict(time) for track in tracks]
         # Tracks that have ended are dropped.

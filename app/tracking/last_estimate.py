@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from app.estimation.results import Person
+from app.vision.halved import Frame
 
 # A person who has not moved for `_UNCHANGED_FOR_S` is estimated only every `_ESTIMATED_EVERY_S`. By
 # then, a quick fall has been decided, and errors of several readings still average out.
@@ -36,7 +34,7 @@ class LastEstimate:
         """Have the person estimated anew in the next frame, even if nothing changes."""
         self._person = None
 
-    def still_holds(self, frame: NDArray[np.uint8], timestamp: float) -> Person | None:
+    def still_holds(self, frame: Frame, timestamp: float) -> Person | None:
         """The person, if the estimate still holds in a frame ``(H, W, 3)``.
 
         To be called with every frame. The estimate holds for a moment if nothing has changed at the

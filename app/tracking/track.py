@@ -28,6 +28,7 @@ from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
+from app.vision.halved import Frame
 from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
 from index.posture import (
@@ -157,7 +158,7 @@ class Track:
         timestamp: float,
         zones: Sequence[Zone] = (),
         *,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         covered: float = 0.0,
         floor: Floor | None = None,
     ) -> tuple[TrackedPerson, list[Event]]:
@@ -199,9 +200,7 @@ class Track:
         tracked = self._tracked(person, pose, timestamp)
         return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
 
-    def _compare(
-        self, person: Person, frame: NDArray[np.uint8], covered: float, timestamp: float
-    ) -> None:
+    def _compare(self, person: Person, frame: Frame, covered: float, timestamp: float) -> None:
         """Keep the first picture since the person last changed; people in front do not count."""
         if person.patch is None or covered > 0:
             return
@@ -250,7 +249,7 @@ class Track:
         return [*map(self._annotated, self._event_detector.unconfirmed())]
 
     def lose(
-        self, frame: NDArray[np.uint8], timestamp: float, *, alone: bool = True
+        self, frame: Frame, timestamp: float, *, alone: bool = True
     ) -> tuple[list[Event], bool]:
         """The events of a person who is no longer visible, and whether the track goes on.
 

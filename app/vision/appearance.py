@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, crop, shrink_quickly
+from app.vision.halved import HALF, Frame, seen_at
 from app.vision.people import Silhouette
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
@@ -17,7 +18,7 @@ _HUES, _SATURATIONS, _GREYS = 8, 4, 8
 _COLOURS_PX = 200
 
 
-def colours_of(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.float32]:
+def colours_of(frame: Frame, silhouette: Silhouette) -> NDArray[np.float32]:
     """Colours ``(2 * 40,)`` of the upper and lower half of a person in a frame, BGR.
 
     They are histograms of hue by saturation, and of brightness, for each half; they sum to 1.
@@ -25,8 +26,10 @@ def colours_of(frame: NDArray[np.uint8], silhouette: Silhouette) -> NDArray[np.f
     rows, columns = silhouette.crop.shape
     left, top = silhouette.left, silhouette.top
     step = max(1, max(rows, columns) // _COLOURS_PX)
-    part = frame[top : top + rows : step, left : left + columns : step]
-    crop = cv2.cvtColor(part, cv2.COLOR_BGR2HSV)
+    pixels, scale = seen_at(frame, HALF)
+    read = np.ix_(*((scale * np.arange(first, first + count, step)).astype(int)
+                    for first, count in ((top, rows), (left, columns))))  # fmt: skip
+    crop = cv2.cvtColor(pixels[read], cv2.COLOR_BGR2HSV)
     mask = silhouette.crop[::step, ::step].astype(np.uint8)
     rows = len(mask)
     parts = []
@@ -62,23 +65,26 @@ class Patch:
     grey: NDArray[np.float32]
 
     @classmethod
-    def of(cls, frame: NDArray[np.uint8], box: Box) -> Self:
+    def of(cls, frame: Frame, box: Box) -> Self:
         """The patch in a box of a frame ``(H, W, 3)``, BGR."""
-        left, top, right, bottom = box.pixels()
-        rect = left, top, max(1, right - left), max(1, bottom - top)
-        cells = shrink_quickly(crop(frame, rect), _PATCH_CELLS, _PATCH_CELLS)
+        pixels, scale = seen_at(frame, HALF)
+        # The same part of the frame, whether all of it is decoded or half.
+        edges = (round(scale / HALF) * edge for edge in box.scaled(HALF).pixels())
+        left, top, right, bottom = edges
+        rect = left, top, right - left, bottom - top
+        cells = shrink_quickly(crop(pixels, rect), _PATCH_CELLS, _PATCH_CELLS)
         return cls(box, cv2.cvtColor(cells, cv2.COLOR_BGR2GRAY).astype(np.float32))
 
-    def is_shown_by(self, frame: NDArray[np.uint8]) -> bool:
+    def is_shown_by(self, frame: Frame) -> bool:
         """Whether another frame shows the same in this box, perhaps in different light."""
         change = self._change(frame)
         light = np.clip(np.median(change), -_MAX_LIGHT, _MAX_LIGHT)
         return bool(np.abs(change - light).mean() < _MAX_DIFFERENCE)
 
-    def is_unchanged_in(self, frame: NDArray[np.uint8]) -> bool:
+    def is_unchanged_in(self, frame: Frame) -> bool:
         """Whether nothing in this box has changed in another frame, not even a hand."""
         means = cv2.blur(self._change(frame), (3, 3))
         return bool(np.abs(means).max() < _MOVED_DIFFERENCE)
 
-    def _change(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
+    def _change(self, frame: Frame) -> NDArray[np.float32]:
         return Patch.of(frame, self.box).grey - self.grey

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window, transform_points
+from app.vision.halved import Frame
 from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 
@@ -136,7 +137,7 @@ class LandmarkNetwork:
             copies=copies,
         )
 
-    def read(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading:
+    def read(self, frame: Frame, window: PersonWindow) -> PoseReading:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR; without the mask."""
         window = window.on_grid()
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)

@@ -19,6 +19,7 @@ from app.vision.detectors.hog import PERSON_PX, hog_margin
 from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
+from app.vision.halved import Frame, seen_at
 from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
@@ -70,7 +71,7 @@ class NetworkDetector:
 
     def detect(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         expected_boxes: Sequence[Box] = (),
         known_boxes: Sequence[Box] = (),
         min_person_px: float | None = None,
@@ -109,7 +110,7 @@ class NetworkDetector:
 
     def _compare_with_objects(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         people: Sequence[Detection],
         odds: NDArray[np.float64],
         known_boxes: Sequence[Box],
@@ -123,7 +124,7 @@ class NetworkDetector:
             # People hardly visible beside others look like part of them.
             odds[row] += gain if probability >= MIN_DETECTION_SCORE else max(0.0, gain)
 
-    def object_log_odds(self, frame: NDArray[np.uint8], one: Detection) -> tuple[float, float]:
+    def object_log_odds(self, frame: Frame, one: Detection) -> tuple[float, float]:
         """As :meth:`ObjectNetwork.log_odds`, with the window upright or turned with the trunk."""
         roll = one.windows[0].roll_deg if one.windows else trunk_roll_deg(one.keypoints)
         rolls = [0.0] if roll is None or abs(roll) < _MIN_TURN_DEG else [0.0, roll]
@@ -132,7 +133,7 @@ class NetworkDetector:
         return max(self._objects.log_odds(frame, window) for window in windows)
 
     def candidates(
-        self, frame: NDArray[np.uint8], min_person_px: float | None = None
+        self, frame: Frame, min_person_px: float | None = None
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
         """Find all candidates of all detectors, however low their score.
 
@@ -183,7 +184,7 @@ class NetworkDetector:
                 rows.append(np.where(np.arange(scores.shape[1]) == column, seen.score, 0.0))
         return people, np.reshape(rows, (len(people), scores.shape[1]))
 
-    def _confirmed(self, frame: NDArray[np.uint8], seen: Detection) -> Detection | None:
+    def _confirmed(self, frame: Frame, seen: Detection) -> Detection | None:
         """A person that the first detector misses, if the landmark network confirms it."""
         window = seen.windows[0] if seen.windows else PersonWindow.about_box(seen.box)
         reading = self._landmarks.read(frame, window)
@@ -212,7 +213,8 @@ def _margin(picture: Picture, box: Box) -> float:
     seen = box.scaled(picture.tiles[0].factor)
     if seen.height >= PERSON_PX:
         return hog_margin(picture.overview, seen)
-    return hog_margin(picture.frame, box)
+    pixels, scale = seen_at(picture.frame, PERSON_PX / box.height)
+    return hog_margin(pixels, box.scaled(scale))
 
 
 # The columns of the scores: the first detector, HOG, and the other detectors.

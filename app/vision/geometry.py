@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.vision.halved import Frame, seen_at
+
 Boxes = NDArray[np.float64]
 """Array of boxes ``(N, 4)``: x, y, width, height."""
 
@@ -91,7 +93,7 @@ class Box:
 
     def scaled(self, factor: float) -> Box:
         """The same box in a frame resized by ``factor``."""
-        x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
+        x, y = (factor * at + (factor - 1) / 2 for at in (self.x, self.y))  # Exact for 1.
         return Box(x, y, self.width * factor, self.height * factor)
 
     def pixels(self) -> tuple[int, int, int, int]:
@@ -197,7 +199,7 @@ class PersonWindow:
 
     def scaled(self, factor: float) -> PersonWindow:
         """The same window in a frame resized by ``factor``."""
-        x, y = (self.x + 0.5) * factor - 0.5, (self.y + 0.5) * factor - 0.5
+        x, y = (factor * at + (factor - 1) / 2 for at in (self.x, self.y))
         return PersonWindow(x, y, self.side * factor, self.roll_deg)
 
     def on_grid(self) -> PersonWindow:
@@ -225,8 +227,10 @@ def transform_points(
 _MAX_COVERED_PX = 2.25
 
 
-def sample_window(frame: NDArray[np.uint8], window: PersonWindow, pixels: int) -> NDArray[np.uint8]:
+def sample_window(frame: Frame, window: PersonWindow, pixels: int) -> NDArray[np.uint8]:
     """Sample a window of a frame as ``(pixels, pixels, 3)``; beyond the frame it is black."""
+    frame, scale = seen_at(frame, pixels / window.side)
+    window = window.scaled(scale)
     size = np.array([frame.shape[1], frame.shape[0]])
     centre = np.array([window.x, window.y])
     # Only the part about the window is averaged.

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
+from app.vision.halved import HalvedFrame
 from app.vision.kinds import kind_of
 from app.vision.plain import NotPlainError, plain
 
@@ -153,7 +154,7 @@ def _upon_grey(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.addWeighted(shown, 1.0, alpha, _GREY / 255, 0.0, dst=shown), np.uint8)
 
 
-# Shares of a JPEG's sides at which its coefficients give a picture.
+# Shares of a JPEG's sides at which its coefficients give a grey picture.
 _REDUCED = {
     8: cv2.IMREAD_REDUCED_GRAYSCALE_8,
     4: cv2.IMREAD_REDUCED_GRAYSCALE_4,
@@ -166,14 +167,38 @@ def reduced_grey(
 ) -> NDArray[np.uint8] | None:
     """A grey picture of an image ``(H, W)``, an eighth, a quarter or a half of its size.
 
-    It is read from the coefficients of a JPEG, in less than half the time of decoding the pixels.
-    None if the file is not a whole, upright JPEG of this shape, or if the picture would be smaller
-    than ``least``.
+    As :func:`_reduced`; None also if the picture would be smaller than ``least``.
     """
     height, width = shape[:2]
     by = next((by for by in _REDUCED if height // by >= least[0] and width // by >= least[1]), None)
-    if by is None or _END_OF_JPEG not in data[-_TAIL_BYTES:]:
+    return None if by is None else _reduced(data, shape, _REDUCED[by])
+
+
+def halved(
+    data: bytes, shape: tuple[int, ...], checkpoint: Callable[[], None] = lambda: None
+) -> tuple[HalvedFrame, tuple[ImageWarning, ...]] | None:
+    """Decode a photograph at half its size, with the warnings of :class:`Photograph`.
+
+    None if :func:`decode_image` has to look at it: it is not a whole, upright JPEG of this shape.
+    """
+    pixels = math.prod(shape[:2])
+    with turn_of(pixels, checkpoint):
+        half = _reduced(data, shape, cv2.IMREAD_REDUCED_COLOR_2)
+    if half is None or _missing_share(half, _BLOCK_PX // 2):
         return None
+    whole = HalvedFrame(shape, half, lambda: decode_image(data, max_pixels=pixels).pixels)
+    return whole, Photograph.of(half).warnings
+
+
+def _reduced(data: bytes, shape: tuple[int, ...], flags: int) -> NDArray[np.uint8] | None:
+    """A smaller picture of a JPEG, by OpenCV's flags.
+
+    It is read from the coefficients, in less than half the time of decoding the pixels. None if the
+    file is not a whole, upright JPEG of this shape.
+    """
+    if _END_OF_JPEG not in data[-_TAIL_BYTES:]:
+        return None
+    height, width = shape[:2]
     try:
         data, header = read_header(data, height * width)
     except ImageError:
@@ -181,8 +206,8 @@ def reduced_grey(
     upright = header.getexif().get(ExifTags.Base.Orientation, 1) == 1
     if header.format != "JPEG" or header.size != (width, height) or not upright:
         return None
-    grey = cv2.imdecode(np.frombuffer(data, np.uint8), _REDUCED[by])
-    return None if grey is None else np.asarray(grey, np.uint8)
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    return None if picture is None else np.asarray(picture, np.uint8)
 
 
 _LARGE_PX = 2_500_000  # More than a frame of 1080p.
@@ -238,12 +263,12 @@ _MISSING = 128
 _BLOCK_PX = 8
 
 
-def _missing_share(pixels: NDArray[np.uint8]) -> float:
+def _missing_share(pixels: NDArray[np.uint8], block_px: int = _BLOCK_PX) -> float:
     """Share of a JPEG's pixels ``(H, W, 3)`` that its decoder did not find; 0 if the end is there.
 
     The corner in which a JPEG ends depends on the EXIF orientation, so all corners are checked.
     """
-    ends = (slice(_BLOCK_PX), slice(-_BLOCK_PX, None))
+    ends = (slice(block_px), slice(-block_px, None))
     corners = (pixels[rows, columns] for rows in ends for columns in ends)
     if not any((corner == _MISSING).all() for corner in corners):
         return 0.0

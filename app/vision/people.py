@@ -69,7 +69,7 @@ class ObservedKeypoints:
 
     def scaled(self, factor: float) -> ObservedKeypoints:
         """The same keypoints in an image resized by ``factor``."""
-        return ObservedKeypoints((self.positions + 0.5) * factor - 0.5, self.scores)
+        return ObservedKeypoints(factor * self.positions + (factor - 1) / 2, self.scores)
 
     def moved(self, x: float, y: float) -> ObservedKeypoints:
         """The same keypoints ``x`` pixels farther right and ``y`` farther down."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.geometry import Box, PersonWindow
+from app.vision.halved import Frame, whole
 from app.vision.movenet import KeypointReader
 from app.vision.people import (
     COCO_LANDMARKS,
@@ -53,7 +54,7 @@ class PersonReader:
 
     def read(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         box: Box,
         keypoints: ObservedKeypoints | None = None,
         windows: Sequence[PersonWindow] = (),
@@ -93,7 +94,7 @@ class PersonReader:
             return best
         return fuse(best, keypoints)
 
-    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
+    def follow(self, frame: Frame, window: PersonWindow) -> PoseReading | None:
         """Read a person in the window that their last landmarks point to.
 
         Returns
@@ -117,7 +118,7 @@ class PersonReader:
 
     def read_beside(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         box: Box,
         keypoints: ObservedKeypoints,
         others: Sequence[PoseReading],
@@ -142,7 +143,7 @@ class PersonReader:
 
     def _best_reading(
         self,
-        frame: NDArray[np.uint8],
+        frame: Frame,
         windows: Iterable[PersonWindow],
         keypoints: ObservedKeypoints | None,
         expected: PersonWindow | PoseReading | None,
@@ -192,7 +193,7 @@ _MIN_LANDMARK_VISIBILITY, _MIN_KEYPOINT_SCORE = 0.3, 0.15
 
 
 def without_bodies(
-    frame: NDArray[np.uint8],
+    frame: Frame,
     box: Box,
     keypoints: ObservedKeypoints,
     others: Iterable[PoseReading],
@@ -201,8 +202,8 @@ def without_bodies(
 
     A pixel close to the limbs of both stays if the person's keypoints are nearer.
     """
-    result = frame.copy()
-    region = box.grown(1.0).clip(frame.shape[1], frame.shape[0])
+    result = whole(frame).copy()
+    region = box.grown(1.0).clip(result.shape[1], result.shape[0])
     assert region is not None
     left, top, right, bottom = region.pixels()
     part = result[top:bottom, left:right]

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window
+from app.vision.halved import Frame
 
 _CLASSES = (
     "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
@@ -46,7 +46,7 @@ class ObjectNetwork:
             copies=copies,
         )
 
-    def log_odds(self, frame: NDArray[np.uint8], window: PersonWindow) -> tuple[float, float]:
+    def log_odds(self, frame: Frame, window: PersonWindow) -> tuple[float, float]:
         """Log odds of a person, and of the likeliest other object, in the middle of a window.
 
         Anchors fit objects about half as wide as the window; the largest log odds count. The frame

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from app.networks.tflite import TfliteNetwork
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import PersonWindow, non_max_suppression, resize
+from app.vision.halved import whole
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
@@ -56,7 +57,7 @@ class BlazePoseDetector:
         # An enlarged overview shows no more than the frame.
         image, factor = picture.overview, overview.factor
         if factor > 1:
-            image, factor = picture.frame, 1.0
+            image, factor = whole(picture.frame), 1.0
         found = []
         for circle, score in self._circles(image):
             window = PersonWindow.about_circle(*circle).scaled(1 / factor)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from app.vision.detectors.tiles import MAX_FINE_PX, Picture
 from app.vision.geometry import Box, Boxes, iou_matrix, resize
+from app.vision.halved import whole
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
@@ -66,7 +67,7 @@ class HogDetector:
 
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect people, best first; scores are probabilities."""
-        boxes, margins = self.kept_windows(picture.frame)
+        boxes, margins = self.kept_windows(whole(picture.frame))
         scores = sigmoid(_SLOPE * margins + _OFFSET)
         height, width = picture.frame.shape[:2]
         found = []

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.vision.geometry import Box, PixelRect, crop, shrink_quickly
+from app.vision.halved import Frame, seen_at
 from app.vision.truncation import gaps_to_border
 
 _SEAM_PX = 4.0  # A box that ends so close to a seam, as a detector sees it, is cut.
@@ -57,11 +58,11 @@ class Picture:
     A frame too thin to hold a person has no tiles.
     """
 
-    frame: NDArray[np.uint8]
+    frame: Frame
     tiles: tuple[Tile, ...]
 
     @classmethod
-    def of(cls, frame: NDArray[np.uint8], min_person_px: float | None) -> Picture:
+    def of(cls, frame: Frame, min_person_px: float | None) -> Picture:
         """The picture of a frame in which people of a height are wanted; see :func:`tiles_of`."""
         height, width = frame.shape[:2]
         return cls(frame, tuple(tiles_of(width, height, min_person_px)))
@@ -69,13 +70,16 @@ class Picture:
     @cached_property
     def overview(self) -> NDArray[np.uint8]:
         """The frame as seen in the overview."""
-        return shrink_quickly(self.frame, *self.tiles[0].size)
+        tile = self.tiles[0]
+        return shrink_quickly(seen_at(self.frame, tile.factor)[0], *tile.size)
 
     def seen_in(self, tile: Tile) -> NDArray[np.uint8]:
         """The part of the frame in one of the tiles, at its resolution."""
         if tile is self.tiles[0]:
             return self.overview
-        return shrink_quickly(crop(self.frame, tile.rect), *tile.size)
+        pixels, scale = seen_at(self.frame, tile.factor)
+        left, top, width, height = (math.ceil(scale * side) for side in tile.rect)
+        return shrink_quickly(crop(pixels, (left, top, width, height)), *tile.size)
 
 
 OVERVIEW_PX = (640, 352)

@@ -5,6 +5,7 @@ Poses are not matched here: the people of these sessions have none.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -239,9 +240,9 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
     uploads = []
     decode = drawn.decode
 
-    def counted(upload: Upload, job: Job) -> DecodedUpload:
+    def counted(upload: Upload, job: Job, **how: Any) -> DecodedUpload:
         uploads.append(upload)
-        return decode(upload, job)
+        return decode(upload, job, **how)
 
     monkeypatch.setattr(drawn, "decode", counted)
     by_file, by_pixels = CameraSession(drawn), CameraSession(drawn)
