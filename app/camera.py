@@ -15,6 +15,7 @@ from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
+from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
 from app.tracking.results import Event, TrackedFrame, TrackedPerson
@@ -101,7 +102,7 @@ class CameraSession:
         self._estimator = estimator
         self._clock = clock
         self._detector = TrackedPeopleDetector(estimator.finder)
-        self._view = View()
+        self._view, self._floor = View(), Floor()
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -281,7 +282,7 @@ class CameraSession:
         self._detector = TrackedPeopleDetector(self._estimator.finder)
         if not is_same_view:
             self._events += self._view.end(timestamp)
-            self._view = View()
+            self._view, self._floor = View(), Floor()
         for track in self._tracks:
             self._events += track.end(timestamp)
         self._tracks = []
@@ -309,6 +310,8 @@ class CameraSession:
         if grey is not None:
             places = [one.box.scaled(grey.shape[0] / shape[0]) for one in people]
             self._events += self._view.update(timestamp, grey, places)
+        if self._view.obstructed:
+            self._floor.forget()  # The camera may have been turned.
 
     def _named_by_caller(
         self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
@@ -406,6 +409,7 @@ class CameraSession:
         wanted = [person for (person, _), one in zip(seen, fits, strict=True) if one]
         count = max(n, DEFAULT_HYPOTHESES)
         fitted = iter(self._estimator.fit(wanted, upload.camera, count, job))
+        self._floor.watch(upload.camera)
         tracked = []
         for (person, track), one in zip(seen, fits, strict=True):
             if one:
@@ -416,6 +420,7 @@ class CameraSession:
                 zones,
                 frame=upload.frame,
                 covered=covered_share(track, person.box, self._tracks, timestamp),
+                floor=self._floor,
             )
             self._events += events
             tracked.append(replace(result, hypotheses=result.hypotheses[:n]))

@@ -355,6 +355,7 @@ def _tracked_person(
             "zones": tracked.zones,
             "caller_track_id": tracked.caller_track_id,
             "still_s": tracked.still_s,
+            "on_floor": tracked.on_floor,
         }
     )
 

@@ -218,6 +218,12 @@ class TrackedPerson(Person):
         "screen, a poster, a sleeper. Otherwise null.",
         examples=[None],
     )
+    on_floor: Probability | None = Field(
+        default=None,
+        description="Probability that a person who lies does so on the floor, rather than on a bed "
+        "or a sofa. Null for others, and while the camera has seen too few people who stand.",
+        examples=[None],
+    )
 
 
 class Event(Model):
@@ -258,6 +264,11 @@ class Event(Model):
         description="With `fell`, whether the person was no longer visible when the fall was "
         "reported.",
         examples=[False],
+    )
+    on_floor: Probability | None = Field(
+        default=None,
+        description="With `lying` and `fell`, the person's `on_floor`; otherwise null.",
+        examples=[0.97],
     )
 
 

@@ -49,7 +49,8 @@ class Event:
     ``unconfirmed`` if the event had only begun to show at the last frame. The zones are those that
     the person is in; for ``zone_entered`` and ``zone_left``, the zone that the person entered or
     left. ``dwell_s``, only with ``zone_left``, is how long the person was in it. ``lost`` says
-    whether a fallen person was no longer visible.
+    whether a fallen person was no longer visible. ``on_floor``, with ``lying`` and ``fell`` alone,
+    is that of :class:`TrackedPerson`.
     """
 
     event: EventName
@@ -61,6 +62,7 @@ class Event:
     caller_track_id: str | None = None
     dwell_s: float | None = None
     lost: bool = False
+    on_floor: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +73,8 @@ class TrackedPerson(Person):
     second, and no action before enough frames or if no action is likely. ``caller_track_id`` is the
     caller's own identity for the person's box, if given. ``still_s`` is the time for which the
     person has looked the same, once it is so long that the person may be a statue or a poster.
+    ``on_floor`` is the probability that a person who lies does so on the floor; None while that is
+    not known.
     """
 
     track_id: int
@@ -80,6 +84,7 @@ class TrackedPerson(Person):
     zones: tuple[str, ...] = ()
     caller_track_id: str | None = None
     still_s: float | None = None
+    on_floor: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

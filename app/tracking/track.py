@@ -19,6 +19,7 @@ from app.tracking.actions import ActionRecogniser, PoseSample
 from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
 from app.tracking.falls import Observation
+from app.tracking.floor import Floor, Rest
 from app.tracking.last_estimate import LastEstimate
 from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
@@ -93,7 +94,7 @@ class Track:
         self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
         self._recogniser = ActionRecogniser()
         self._event_detector = EventDetector(watched_from)
-        self._zone_watch = ZoneWatch()
+        self._zone_watch, self._rest = ZoneWatch(), Rest()
         self._posture_filter = PostureFilter()
         self._body_at = -math.inf
         """Time of the last frame that showed the body."""
@@ -158,13 +159,14 @@ class Track:
         *,
         frame: NDArray[np.uint8],
         covered: float = 0.0,
+        floor: Floor | None = None,
     ) -> tuple[TrackedPerson, list[Event]]:
         """Add what a frame shows of the body; if it shows none, the last pose moves along.
 
         The person is as estimated from this frame ``(H, W, 3)`` alone. With landmarks, everything
         except the pose follows from these, so hypotheses are not needed. ``covered`` is the share
-        of the person's box that another person's box covers. The events of the frame are returned
-        as well.
+        of the person's box that another person's box covers. The ``floor`` of the camera learns
+        from the person. The events of the frame are returned as well.
         """
         self.last_estimate.update(person, timestamp)
         self._compare(person, frame, covered, timestamp)
@@ -173,6 +175,9 @@ class Track:
             motion = self._motion_filter.update(timestamp, person.whole_box, body)
             smoothed = self._smoother.update(person, timestamp, motion)
             shares = self._add_body(person, body, motion, smoothed, timestamp)
+            if floor is not None and self.track_id is not None:
+                floor.see(self.track_id, person, frame.shape)
+                self._rest.update(timestamp, person, self.track_id, floor)
         crossings: list[Event] = []
         if self.seen_at == timestamp:
             # The posture says which part of the body has to be in a zone.
@@ -285,6 +290,7 @@ class Track:
             track_id=self.track_id,
             caller_track_id=self.caller_id,
             zones=self._zone_names(),
+            on_floor=self._rest.on_floor if event.event in ("lying", "fell") else None,
         )
 
     def _crossed(self, events: Sequence[Event]) -> list[Event]:
@@ -319,6 +325,7 @@ class Track:
             zones=self._zone_names(),
             caller_track_id=self.caller_id,
             still_s=still_s if still_s >= _STILL_FROM_S else None,
+            on_floor=self._rest.on_floor if self._known_posture() == "lying" else None,
         )
 
 

@@ -40,12 +40,14 @@ Figures = dict[str, Any]
 class Watched:
     """A session's answers to a film: what began or happened and when, and postures.
 
-    Answers are pairs of the true posture and the label of the largest person.
+    Answers are pairs of the true posture and the label of the largest person; ``on_floor`` has the
+    times at which ``lying`` began, with its probability of the floor if that is known.
     """
 
     seconds: float = 0.0
     events: list[tuple[float, str]] = field(default_factory=list)
     answers: list[tuple[str, str | None]] = field(default_factory=list)
+    on_floor: list[tuple[float, float | None]] = field(default_factory=list)
 
     def said(self, event: str) -> list[float]:
         """When an event began or happened."""
@@ -67,6 +69,7 @@ def run(options: argparse.Namespace) -> Figures:
         "films": len(films),
         "events": {kind: summarise(watched, kind) for kind in FILM_KINDS},
         "sources": by_source(watched),
+        "on_floor": on_floor(watched),
         "ordinary": ordinary(watched),
         "postures": postures(watched),
     }
@@ -95,6 +98,8 @@ def watch(estimator: Estimator, film: Film, fps: float) -> Watched:
         reply = track(session, frame, round(at, 3), 0)
         seen.seconds = at
         seen.events += [(at, one.event) for one in reply.events if one.state != "end"]
+        lying = [one for one in reply.events if (one.event, one.state) == ("lying", "begin")]
+        seen.on_floor += [(at, one.on_floor) for one in lying]
         truth = film.truth(at)
         if truth is not None and reply.persons:
             largest = max(reply.persons, key=lambda one: one.box.area)
@@ -123,6 +128,25 @@ def summarise(watched: Iterable[tuple[Film, Watched]], kind: str) -> Figures:
         else None,
         "delay_s": float(np.median(delays)) if delays and films[0][0].fall is not None else None,
     }
+
+
+def on_floor(watched: Iterable[tuple[Film, Watched]]) -> Figures:
+    """Films in which ``lying`` begins, on the floor after a fall or on a bed, and says where."""
+    figures: Figures = {}
+    for kind, right in (("fall", lambda p: p >= 0.8), ("in_bed", lambda p: p <= 0.2)):
+        said = [
+            [p for at, p in seen.on_floor if at > (film.fall or 0.0) - EARLY_S]
+            for film, seen in watched
+            if film.kind == kind
+        ]
+        known = [[p for p in one if p is not None][:1] for one in said]
+        decided = [right(p) for one in known for p in one]
+        figures[kind] = {
+            "films": sum(map(bool, said)),
+            "known": len(decided),
+            "right": percent(decided) if decided else None,
+        }
+    return figures
 
 
 def by_source(watched: Iterable[tuple[Film, Watched]]) -> Figures:
