@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from app.estimation.results import Person
 from app.tracking.floor import Floor, Height, Rest
 from app.vision.geometry import Box
-from app.vision.judgement import FRAME_POSTURES, FramePosture, FramePostureName, Trust
+from app.vision.judgement import FRAME_POSTURES, FramePosture, Trust
 from app.vision.optics import PinholeCamera, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks, landmark_rows
 
@@ -51,7 +51,7 @@ class Scene:
         self.floor = Floor()
         self.floor.watch(PinholeCamera.of_frame(self.shape, fov_deg if given else None))
 
-    def person(self, points: NDArray[np.float64], posture: FramePostureName = "standing") -> Person:
+    def person(self, points: NDArray[np.float64], posture: str = "standing") -> Person:
         """A person of landmarks ``(33, 3)``: aside, up and away from the camera's foot, metres."""
         sine, cosine = np.sin(self.tilt), np.cos(self.tilt)
         x, below, away = points[:, 0], self.height_m - points[:, 1], points[:, 2]
