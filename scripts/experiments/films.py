@@ -133,14 +133,14 @@ def summarise(watched: Iterable[tuple[Film, Watched]], kind: str) -> Figures:
 def on_floor(watched: Iterable[tuple[Film, Watched]]) -> Figures:
     """Films in which ``lying`` begins, on the floor after a fall or on a bed, and says where."""
     figures: Figures = {}
-    for kind, least, most in (("fall", 0.8, 1.0), ("in_bed", 0.0, 0.2)):
+    for kind in ("fall", "in_bed"):
         said = [
             [p for at, p in seen.on_floor if at > (film.fall or 0.0) - EARLY_S]
             for film, seen in watched
             if film.kind == kind
         ]
         known = [[p for p in one if p is not None][:1] for one in said]
-        decided = [least <= p <= most for one in known for p in one]
+        decided = [p >= 0.8 if kind == "fall" else p <= 0.2 for one in known for p in one]
         figures[kind] = {
             "films": sum(map(bool, said)),
             "known": len(decided),
