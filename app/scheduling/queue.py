@@ -24,8 +24,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Hashable, Iterable
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 from app.scheduling.job import BusyError
 
@@ -62,25 +61,21 @@ class ShutdownError(BusyError):
         super().__init__("the service is being stopped; try again shortly")
 
 
-class _Place(NamedTuple):
-    """A place in the queue: its caller, the kind of work, and its number in order of arrival."""
-
-    caller: Hashable
-    kind: Hashable
-    number: int
-
-
 @dataclass(eq=False)
 class Ticket:
-    """A frame in the queue, and the live camera that took it, if any.
+    """A frame in the queue: its number in order of arrival, and the live camera that took it.
 
     The result of ``begun`` is None once the frame may begin, or a function that makes the error if
     it never will: a stored exception would keep the frame alive through its traceback.
     """
 
-    place: _Place
-    camera: Hashable
-    begun: asyncio.Future[Callable[[], BusyError] | None]
+    caller: Hashable
+    kind: Hashable
+    number: int
+    camera: Hashable = None
+    begun: asyncio.Future[Callable[[], BusyError] | None] = field(
+        default_factory=lambda: asyncio.get_running_loop().create_future()
+    )
     began_at: float = 0.0
 
 
@@ -140,7 +135,7 @@ class FairQueue:
         however long it has to wait.
         """
         if (older := self._waiting_of(camera)) is not None:
-            number = older.place.number
+            number = older.number
             self._waiting.remove(older)
             older.begun.set_result(SupersededError)
         else:
@@ -148,8 +143,7 @@ class FairQueue:
             if not unbounded_wait:
                 self._admit(caller, kind)
         self._finish_s[caller] = self._virtual_start_s(caller)
-        place = _Place(caller, kind, number)
-        ticket = Ticket(place, camera, asyncio.get_running_loop().create_future())
+        ticket = Ticket(caller, kind, number, camera)
         self._waiting.append(ticket)
         self._advance()
         return ticket
@@ -157,7 +151,7 @@ class FairQueue:
     def expire(self, ticket: Ticket) -> OverloadedError:
         """Remove a frame that has waited as long as is allowed, and return the error to raise."""
         self._waiting.remove(ticket)
-        return self._overloaded(self._wait_s(ticket.place.caller, ticket.place.kind))
+        return self._overloaded(self._wait_s(ticket.caller, ticket.kind))
 
     def release(self, ticket: Ticket, *, worked: bool = False) -> None:
         """Remove a frame, if it has not been removed before.
@@ -167,7 +161,7 @@ class FairQueue:
         if ticket in self._working:
             self._working.remove(ticket)
             if worked:
-                took_s, kind = self._clock() - ticket.began_at, ticket.place.kind
+                took_s, kind = self._clock() - ticket.began_at, ticket.kind
                 before_s = self._duration_s.get(kind, took_s)
                 self._duration_s[kind] = before_s + _NEWEST_WEIGHT * (took_s - before_s)
         elif ticket in self._waiting:
@@ -185,16 +179,15 @@ class FairQueue:
         """Begin waiting frames while threads are free."""
         while self.working < self.threads and not self._closed:
             busy = {ticket.camera for ticket in self._working} - {None}
-            tickets = {ticket.place: ticket for ticket in self._waiting}
-            for finish_s, place in self._ordered(tickets):
-                if tickets[place].camera not in busy:
-                    self._begin(tickets[place], finish_s)
+            for finish_s, ticket in self._ordered(self._waiting):
+                if ticket.camera not in busy:
+                    self._begin(ticket, finish_s)
                     break
             else:
                 break
 
     def _begin(self, ticket: Ticket, finish_s: float) -> None:
-        caller, kind = ticket.place.caller, ticket.place.kind
+        caller, kind = ticket.caller, ticket.kind
         self._waiting.remove(ticket)
         self._working.append(ticket)
         ticket.began_at = self._clock()
@@ -203,25 +196,25 @@ class FairQueue:
         self._finish_s[caller] = finish_s
         self._kinds[caller] = self._last_kind = kind
         if len(self._finish_s) > _MAX_CALLERS:
-            waiting = {ticket.place.caller for ticket in self._waiting}
+            waiting = {ticket.caller for ticket in self._waiting}
             self._finish_s = {c: s for c, s in self._finish_s.items() if c in waiting}
             self._kinds = {c: kind for c, kind in self._kinds.items() if c in waiting}
 
-    def _ordered(self, places: Iterable[_Place]) -> list[tuple[float, _Place]]:
-        """Return the virtual finish of each place, and the place, in the order of service."""
+    def _ordered(self, tickets: Iterable[Ticket]) -> list[tuple[float, Ticket]]:
+        """Return the virtual finish of each frame, and the frame, in the order of service."""
         finish_s: dict[Hashable, float] = {}
         ordered = []
-        for place in sorted(places, key=lambda place: place.number):
-            caller = place.caller
+        for ticket in sorted(tickets, key=lambda ticket: ticket.number):
+            caller = ticket.caller
             start_s = finish_s.get(caller) or self._virtual_start_s(caller)
-            finish_s[caller] = start_s + self._estimate_s(place.kind)
-            ordered.append((finish_s[caller], place))
+            finish_s[caller] = start_s + self._estimate_s(ticket.kind)
+            ordered.append((finish_s[caller], ticket))
         return sorted(ordered, key=lambda pair: (pair[0], pair[1].number))
 
     def _virtual_start_s(self, caller: Hashable) -> float:
         """Return the virtual start of a caller's next frame; idle time gives no credit."""
         finish_s = self._finish_s.get(caller, 0.0)
-        waits = any(ticket.place.caller == caller for ticket in self._waiting)
+        waits = any(ticket.caller == caller for ticket in self._waiting)
         return finish_s if waits else max(finish_s, self._virtual_s)
 
     def _waiting_of(self, camera: Hashable) -> Ticket | None:
@@ -247,15 +240,15 @@ class FairQueue:
         """Return the expected seconds until a thread is free for a caller's next frame."""
         now = self._clock()
         free = [0.0] * (self.threads - self.working) + [
-            max(0.0, ticket.began_at + self._estimate_s(ticket.place.kind) - now)
+            max(0.0, ticket.began_at + self._estimate_s(ticket.kind) - now)
             for ticket in self._working
         ]
         heapq.heapify(free)
-        newest = _Place(caller, kind, next(self._numbers))
-        for _, place in self._ordered([newest, *(ticket.place for ticket in self._waiting)]):
-            if place == newest:
+        newest = Ticket(caller, kind, next(self._numbers))
+        for _, ticket in self._ordered([newest, *self._waiting]):
+            if ticket is newest:
                 break
-            heapq.heapreplace(free, free[0] + self._estimate_s(place.kind))
+            heapq.heapreplace(free, free[0] + self._estimate_s(ticket.kind))
         return free[0]
 
     def _estimate_s(self, kind: Hashable) -> float:

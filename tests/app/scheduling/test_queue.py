@@ -221,9 +221,9 @@ async def play(operations: list[tuple[str, str, str | None, int]], threads: int)
         # Frames of one kind from one caller begin in order.
         for ticket in working - before:
             assert all(
-                other.place.number > ticket.place.number
+                other.number > ticket.number
                 for other in waiting
-                if (other.place.caller, other.camera) == (ticket.place.caller, ticket.camera)
+                if (other.caller, other.camera) == (ticket.caller, ticket.camera)
             )
 
 
