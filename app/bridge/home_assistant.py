@@ -61,12 +61,8 @@ def slug(name: str) -> str:
 class HomeAssistant:
     """A connection to a broker that reconnects by itself.
 
-    One thread calls :meth:`keep` and :meth:`send`; any may call :meth:`show`.
-
-    Parameters
-    ----------
-    address : SplitResult
-        ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
+    One thread calls :meth:`keep` and :meth:`send`; any may call :meth:`show`. The address is
+    ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
     """
 
     def __init__(self, address: SplitResult, camera_id: str) -> None:
@@ -87,15 +83,10 @@ class HomeAssistant:
         self._changed = threading.Condition()
         self._outage, self._outage_began = "does not answer", time.monotonic()
         self._trouble = Trouble("mqtt: the broker answers again")
-        self._announce(
-            "binary_sensor",
-            "fell",
-            "Fell",
-            device_class="problem",
-            value_template="{{ value_json.state }}",
-            json_attributes_topic=self._fell,
-        )
-        self._announce("binary_sensor", "obstructed", "Obstructed", device_class="problem")
+        problem = {"device_class": "problem"}
+        fell = {"value_template": "{{ value_json.state }}", "json_attributes_topic": self._fell}
+        self._announce("binary_sensor", "fell", "Fell", **problem, **fell)
+        self._announce("binary_sensor", "obstructed", "Obstructed", **problem)
         self._announce("sensor", "people", "People", state_class="measurement")
         # These two stay as they are while the camera is offline.
         always = {"availability_topic": None}

@@ -8,17 +8,8 @@ from fastapi.responses import Response
 from pydantic import ValidationError
 from starlette.types import Scope
 
+from app.api import tracking_schemas as schemas
 from app.api.replies import camera_reply, settings_from, tracked_fields
-from app.api.tracking_schemas import (
-    MAX_CORNERS,
-    MAX_NAME_CHARACTERS,
-    MAX_ZONES,
-    CameraConfiguration,
-    CameraEvents,
-    CameraList,
-    CameraState,
-    TrackResponse,
-)
 from app.cameras import CameraKey, CameraSessions, Wanted
 from app.http.errors import ProblemError, invalid
 from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
@@ -81,7 +72,7 @@ def _set_session_header(request: Request, state: SessionState) -> None:
     "/{camera_id}/frames",
     operation_id="track_frame",
     summary="The people in the next frame of a camera, over time",
-    response_model=TrackResponse,
+    response_model=schemas.TrackResponse,
     dependencies=[Depends(_session_header)],
     responses=documented(400, 401, 403, 404, 408, 409, 413, 415, 422, 503),
     openapi_extra=DOCUMENTED_TRACK_UPLOAD,
@@ -118,7 +109,7 @@ async def track_frame(
         runtime.metrics.observe_events(tracked.events)
         runtime.metrics.observe_frame(tracked)
         fields = tracked_fields(tracked, estimator.index, query.form)
-        reply = TrackResponse(camera_id=camera.camera_id, **fields)
+        reply = schemas.TrackResponse(camera_id=camera.camera_id, **fields)
         return reply.model_dump_json().encode()
 
     # The first frame of a session takes longer.
@@ -133,10 +124,10 @@ async def track_frame(
     dependencies=[NoQuery],
     responses=documented(401),
 )
-async def list_cameras(request: Request) -> CameraList:
+async def list_cameras(request: Request) -> schemas.CameraList:
     """List the caller's cameras that have a session or a configuration, ordered by name."""
     sessions = runtime_of(request).sessions.summaries(_owner(identity_of(request.scope)))
-    return CameraList(cameras=[camera_reply(session) for session in sessions])
+    return schemas.CameraList(cameras=[camera_reply(session) for session in sessions])
 
 
 @router.get(
@@ -146,7 +137,7 @@ async def list_cameras(request: Request) -> CameraList:
     dependencies=[NoQuery],
     responses=documented(401, 404, 422),
 )
-async def get_camera(request: Request, camera: Camera) -> CameraState:
+async def get_camera(request: Request, camera: Camera) -> schemas.CameraState:
     """Get the configuration of a camera and the state of its session."""
     return camera_reply(runtime_of(request).sessions.summary(camera))
 
@@ -158,25 +149,26 @@ async def get_camera(request: Request, camera: Camera) -> CameraState:
     dependencies=[NoQuery],
     responses=documented(401, 404, 422),
 )
-async def list_camera_events(request: Request, camera: Camera) -> CameraEvents:
+async def list_camera_events(request: Request, camera: Camera) -> schemas.CameraEvents:
     """List the last hundred events of a camera, the newest last.
 
     They are kept as long as the camera has a session or a configuration.
     """
     events = runtime_of(request).sessions.events(camera)
-    return CameraEvents.model_validate({"camera_id": camera.camera_id, "events": events})
+    return schemas.CameraEvents.model_validate({"camera_id": camera.camera_id, "events": events})
 
 
 # The configuration is parsed here, after the key is checked, so that any error is one sentence.
-async def _read_configuration(request: Request) -> CameraConfiguration:
+async def _read_configuration(request: Request) -> schemas.CameraConfiguration:
     body = await request.body()
     # All corners of all zones, and commas in their names. They are counted before they are parsed,
     # which would keep all other clients waiting.
-    if (count := body.count(b",")) > 2 * MAX_ZONES * (MAX_CORNERS + MAX_NAME_CHARACTERS):
-        most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
+    values = schemas.MAX_ZONES * (schemas.MAX_CORNERS + schemas.MAX_NAME_CHARACTERS)
+    if (count := body.count(b",")) > 2 * values:
+        most = f"at most {schemas.MAX_ZONES} zones of {schemas.MAX_CORNERS} corners"
         raise invalid("zones", f"expected {most}, got {count} values")
     try:
-        return CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
+        return schemas.CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
         detail = f"{place}: {sentence}" if place else sentence
@@ -192,15 +184,15 @@ async def _read_configuration(request: Request) -> CameraConfiguration:
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": documented_json(CameraConfiguration),
+            "content": documented_json(schemas.CameraConfiguration),
         }
     },
 )
 async def configure_camera(
     request: Request,
     camera: Camera,
-    configuration: Annotated[CameraConfiguration, Depends(_read_configuration)],
-) -> CameraState:
+    configuration: Annotated[schemas.CameraConfiguration, Depends(_read_configuration)],
+) -> schemas.CameraState:
     """Set zones, optics and events of a camera, whether or not it has sent frames.
 
     From the next frame on, persons and events name the zones they are in. A new configuration

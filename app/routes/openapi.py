@@ -5,16 +5,11 @@ from typing import Any
 from fastapi import FastAPI
 from pydantic import BaseModel
 
+from app.api import tracking_schemas as tracking
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
-from app.api.tracking_schemas import (
-    CameraConfiguration,
-    SequenceResponse,
-    TrackUpload,
-    VideoUpload,
-)
 from app.http.errors import MEDIA_TYPE
 
-_FORMS = (FrameUpload, TrackUpload, VideoUpload, DeepstackUpload)
+_FORMS = (FrameUpload, tracking.TrackUpload, tracking.VideoUpload, DeepstackUpload)
 
 TAGS = [
     {"name": "pose", "description": "A frame in; its people, their silhouettes and poses out."},
@@ -61,7 +56,12 @@ def add_openapi(app: FastAPI) -> None:
             document = generate()
             components = document["components"]
             components["headers"] = HEADERS
-            for model in (Problem, CameraConfiguration, SequenceResponse, *_FORMS):
+            for model in (
+                Problem,
+                tracking.CameraConfiguration,
+                tracking.SequenceResponse,
+                *_FORMS,
+            ):
                 schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
                 for name, part in (*schema.pop("$defs", {}).items(), (model.__name__, schema)):
                     components["schemas"].setdefault(name, part)
@@ -84,7 +84,7 @@ def _mend_schema(name: str, schema: dict[str, Any]) -> None:
     if name in {form.__name__ for form in _FORMS}:
         properties = {field: _form_field(value) for field, value in properties.items()}
         schema["properties"] = properties
-    if name == CameraConfiguration.__name__:
+    if name == tracking.CameraConfiguration.__name__:
         # openapi-typescript takes a field with a default for one that must be there.
         for value in properties.values():
             del value["default"]

@@ -8,16 +8,8 @@ from typing import Annotated, Any
 from fastapi import Depends, Request
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, model_validator
 
+from app.api import schemas
 from app.api.replies import ReplyForm
-from app.api.schemas import (
-    FieldOfView,
-    JointForm,
-    KeypointSetName,
-    ObservedSetName,
-    PixelAspect,
-    Roll,
-    SilhouetteForm,
-)
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
@@ -53,7 +45,7 @@ _HypothesisCount = Annotated[
     WHOLE_NUMBER,
 ]
 _KeypointSet = Annotated[
-    KeypointSetName,
+    schemas.KeypointSetName,
     Field(
         description="`native` or `cmu19`: the 19 joints of the index; `coco17`: the 17 COCO "
         "keypoints; `h36m17`: the 17 of Human3.6M.",
@@ -86,7 +78,7 @@ _Segmenter = Annotated[
     ),
 ]
 _Joints = Annotated[
-    JointForm,
+    schemas.JointForm,
     Field(
         description="How joints are written: `full`, an object for each; `compact`, plain numbers "
         "in `joints_3d_flat` and `joints_2d_flat`; `none`, not at all. In replies about cameras "
@@ -131,9 +123,9 @@ class EntryQuery(_Query):
 class _CameraQuery(_Query):
     """Query parameters of the camera that took a frame."""
 
-    fov_deg: Annotated[FieldOfView | None, NUMBER] = None
-    pixel_aspect: Annotated[PixelAspect | None, NUMBER] = None
-    roll_deg: Annotated[Roll | None, NUMBER] = None
+    fov_deg: Annotated[schemas.FieldOfView | None, NUMBER] = None
+    pixel_aspect: Annotated[schemas.PixelAspect | None, NUMBER] = None
+    roll_deg: Annotated[schemas.Roll | None, NUMBER] = None
 
     @property
     def optics(self) -> Optics:
@@ -163,7 +155,7 @@ class PoseQuery(_CameraQuery):
     method: _Method = None
     segmenter: _Segmenter = None
     silhouettes: Annotated[
-        SilhouetteForm,
+        schemas.SilhouetteForm,
         Field(
             description="Whether the reply includes silhouettes, and in which of COCO's forms: "
             "`rle`, every pixel; `polygon`, the outlines.",
@@ -172,7 +164,7 @@ class PoseQuery(_CameraQuery):
     ] = "none"
     joints: _Joints = "full"
     observed: Annotated[
-        ObservedSetName,
+        schemas.ObservedSetName,
         Field(
             description="Which keypoints `observed_keypoints` lists: `coco17`, or `blazepose33`, "
             "all 33 landmarks that are read.",

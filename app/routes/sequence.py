@@ -11,14 +11,8 @@ from fastapi.responses import StreamingResponse
 from starlette.datastructures import UploadFile
 from starlette.types import Receive, Scope, Send
 
+from app.api import tracking_schemas as schemas
 from app.api.replies import tracked_fields
-from app.api.tracking_schemas import (
-    SequenceEnd,
-    SequenceFrame,
-    SequenceLine,
-    SequenceResponse,
-    VideoUpload,
-)
 from app.camera import CameraSession
 from app.decoding import Frame
 from app.decoding.videos import NextFrame, new_file, open_video
@@ -58,7 +52,7 @@ async def _received(request: Request) -> AsyncIterator[IO[bytes]]:
                 file.write(chunk)
         elif has_type(request, MULTIPART):
             async with form_of(request) as form:
-                check_fields(form, VideoUpload.model_fields)
+                check_fields(form, schemas.VideoUpload.model_fields)
                 part = form.get("video")
                 if not isinstance(part, UploadFile):
                     raise invalid("video", "expected a file, got none")
@@ -103,13 +97,13 @@ async def _open(
             "description": "A line of JSON for each frame as soon as it is done, and a last line "
             "of type `end`, as `application/x-ndjson`; with `Accept: application/json`, the same "
             "as one document.",
-            "model": SequenceLine,
-            "content": {**BINARY, **documented_json(SequenceResponse)},
+            "model": schemas.SequenceLine,
+            "content": {**BINARY, **documented_json(schemas.SequenceResponse)},
         },
         **documented(400, 401, 403, 408, 413, 415, 422, 503),
     },
     openapi_extra=documented_form(
-        VideoUpload,
+        schemas.VideoUpload,
         "A form, or a video alone: as `application/octet-stream`, `video/mp4` or any other type of "
         "video, `image/gif`, or `multipart/x-mixed-replace`.",
     ),
@@ -147,7 +141,7 @@ async def analyse_sequence(
     def write(tracked: TrackedFrame, number: int) -> bytes:
         metrics.observe_frame(tracked)
         fields = tracked_fields(tracked, estimator.index, query.form)
-        frame = SequenceFrame(type="frame", video_frame=number, **fields)
+        frame = schemas.SequenceFrame(type="frame", video_frame=number, **fields)
         return frame.model_dump_json().encode()
 
     def is_ending() -> bool:
@@ -170,10 +164,10 @@ async def analyse_sequence(
     return LineStream(parts(), media_type="application/json" if is_document else None)
 
 
-def _end_of(run: VideoRun) -> SequenceEnd:
+def _end_of(run: VideoRun) -> schemas.SequenceEnd:
     summary, end = run.summary, run.end
     assert end is not None
-    return SequenceEnd.model_validate(
+    return schemas.SequenceEnd.model_validate(
         {
             "type": "end",
             "reason": end.reason,
