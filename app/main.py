@@ -111,8 +111,7 @@ def create_app(
     for router in routers:
         app.include_router(router)
     add_openapi(app)
-    system.add_docs(app)
-    system.add_page(app)
+    system.add_pages(app)
     table = RouteTable(route for router in (*routers, app.router) for route in router.routes)
     register_error_handlers(app, table)
     _add_middleware(app, runtime, table)

@@ -220,12 +220,8 @@ _CAMERAS = TypeAdapter(
 def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     """Read the settings of cameras by their names; none without a file.
 
-    The file holds a JSON object: for each name, the body of ``PUT /cameras/{camera_id}``.
-
-    Raises
-    ------
-    SettingsError
-        If the file cannot be read or does not fit; the message is one sentence.
+    The file holds a JSON object: for each name, the body of ``PUT /cameras/{camera_id}``. Raises
+    SettingsError if it cannot be read or does not fit.
     """
     if path is None:
         return {}
@@ -235,8 +231,7 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"
     except ValidationError as error:
-        place, problem = located(error)
-        sentence = f"{path}: {place}: {problem}" if place else f"{path}: {problem}"
+        sentence = f"{path}: " + ": ".join(filter(None, located(error)))
     else:
         return {name: settings_from(camera) for name, camera in cameras.items()}
     raise SettingsError(f"POSE_CAMERAS_FILE: {sentence}")

@@ -208,10 +208,7 @@ VARIABLES = tuple(variable(name, field) for name, field in Settings.model_fields
 def read_settings() -> Settings:
     """Read the settings from the environment.
 
-    Raises
-    ------
-    SettingsError
-        If a value is invalid, or a variable looks like a setting but is not one.
+    Raises SettingsError if a value is invalid, or a variable looks like a setting but is none.
     """
     _refuse_unknown(os.environ)
     try:

@@ -171,7 +171,7 @@ async def _read_configuration(request: Request) -> schemas.CameraConfiguration:
         return schemas.CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
-        detail = f"{place}: {sentence}" if place else sentence
+        detail = ": ".join(filter(None, (place, sentence)))
         raise ProblemError(422, detail, field=place or None) from None
 
 

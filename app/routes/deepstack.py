@@ -52,9 +52,8 @@ async def _read_upload(request: Request) -> DeepstackUpload:
             raise invalid("image", "expected an image file, got none")
         given = {name: text_of(form, name) for name in ("min_confidence", "api_key")}
     try:
-        return DeepstackUpload.model_validate(
-            {"image": image, **{name: text for name, text in given.items() if text}}
-        )
+        given_texts = {name: text for name, text in given.items() if text}
+        return DeepstackUpload.model_validate({"image": image, **given_texts})
     except ValidationError as error:
         first = error.errors()[0]
         raise invalid(str(first["loc"][0]), expected_and_got(first)) from None

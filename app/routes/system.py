@@ -50,22 +50,16 @@ _HEADERS = {
 }
 
 
-def add_page(app: FastAPI) -> None:
-    """Serve the debug page at ``/`` and its files under ``/static``."""
-
-    @app.get("/", include_in_schema=False)
-    async def page() -> FileResponse:
-        return FileResponse(_FOLDER / "index.html", headers=_HEADERS)
-
-    app.mount("/static", StaticFiles(directory=_FOLDER))
-
-
 # The paths are relative, so that the page also works behind a proxy that serves it under a path.
 _ASSETS, _DOCUMENT = "docs/assets", "docs/openapi.json"
 
 
-def add_docs(app: FastAPI) -> None:
-    """Serve Swagger UI under ``/docs`` from the files of the package fastapi-offline."""
+def add_pages(app: FastAPI) -> None:
+    """Serve the debug page at ``/``, and Swagger UI at ``/docs`` from fastapi-offline's files."""
+
+    @app.get("/", include_in_schema=False)
+    async def page() -> FileResponse:
+        return FileResponse(_FOLDER / "index.html", headers=_HEADERS)
 
     @app.get(f"/{_DOCUMENT}", include_in_schema=False)
     async def document() -> dict[str, Any]:
@@ -84,4 +78,5 @@ def add_docs(app: FastAPI) -> None:
             swagger_ui_parameters={"validatorUrl": None},
         )
 
+    app.mount("/static", StaticFiles(directory=_FOLDER))
     app.mount(f"/{_ASSETS}", StaticFiles(directory=str(files("fastapi_offline") / "static")))

@@ -57,9 +57,7 @@ class Executor:
         while work that has begun is finished. The rest is as in
         :meth:`app.scheduling.queue.FairQueue.enqueue`.
 
-        Raises
-        ------
-        OverloadedError, DeadlineError, SupersededError, ClientGoneError
+        Raises OverloadedError, DeadlineError, SupersededError and ClientGoneError.
         """
         enqueued = time.monotonic()
         ticket = self.queue.enqueue(caller, kind, camera, unbounded_wait=unbounded_wait)
