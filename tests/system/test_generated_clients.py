@@ -97,8 +97,8 @@ def check(answers: dict[str, Any], photo: Photo) -> None:
     for name in ("draw_pose", "extract_silhouettes", "get_entry_silhouette"):
         assert content(answers[name]).startswith(b"\x89PNG")
     sequence = answers["analyse_sequence"]
+    assert (sequence.end.reason, sequence.end.frames) == ("complete", 3), sequence.end.detail
     assert [frame.video_frame for frame in sequence.frames] == [0, 1, 2]
-    assert (sequence.end.reason, sequence.end.frames) == ("complete", 3)
 
 
 def content(file: Any) -> bytes:
