@@ -218,8 +218,7 @@ class TrackedPerson(Person):
         "screen, a poster, a sleeper. Otherwise null.",
         examples=[None],
     )
-    on_floor: Probability | None = Field(
-        default=None,
+    on_floor: Score | None = Field(
         description="Probability that a person who lies does so on the floor, rather than on a bed "
         "or a sofa. Null for others, and while the camera has seen too few people who stand.",
         examples=[None],
@@ -265,8 +264,7 @@ class Event(Model):
         "reported.",
         examples=[False],
     )
-    on_floor: Probability | None = Field(
-        default=None,
+    on_floor: Score | None = Field(
         description="With `lying` and `fell`, the person's `on_floor`; otherwise null.",
         examples=[0.97],
     )
