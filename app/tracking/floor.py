@@ -53,14 +53,15 @@ _GIVEN_SD, _SIZE_SD = 0.03, 0.07
 _MOVED_AFTER, _MOVED_FROM = 6, 3.0
 
 
-# A body is as likely on the floor as on a bed at this height, metres. Chosen on all real films
-# together: bodies on floors are read as 0 to 0.4 m high, those on beds as 0.55 to 0.9 m.
-_FLOOR_BELOW_M = 0.4
-# Standard deviation of heights beyond the camera's, and of those that say nothing, metres.
-_BODY_SD_M, _UNKNOWN_FROM_M = 0.05, 0.25
-# Who lies; how long a frame counts, seconds, since people fall out of bed; and how many frames have
-# to, weighted by the probability of right landmarks.
-_LIES_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 1.0, 0.8
+# A body is as likely on the floor as on a bed at this height, metres. Chosen on the real films:
+# bodies on floors are mostly read as -0.1 to 0.3 m high, those on beds as 0.55 to 0.9 m.
+_FLOOR_BELOW_M = 0.42
+# Standard deviation of heights beyond the camera's, and of those that say nothing; outside the last
+# range, no bed or floor is likely, but a misreading; metres.
+_BODY_SD_M, _UNKNOWN_FROM_M, _PLAUSIBLE_M = 0.05, 0.2, (-0.6, 1.2)
+# Of frames that show who lies, least probabilities of the posture and of right landmarks; seconds
+# for which they count, since people fall out of bed; how many are needed, weighted by the latter.
+_LIES_FROM, _READ_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 0.1, 1.0, 0.8
 
 
 class Height(NamedTuple):
@@ -84,7 +85,9 @@ class Rest:
         posture, trust, landmarks = person.frame_posture, person.trust, person.landmarks
         if posture is None or trust is None or landmarks is None:
             return
-        if posture.of("lying") < _LIES_FROM or (height := floor.height(who, landmarks)) is None:
+        if posture.of("lying") < _LIES_FROM or trust.right < _READ_FROM:
+            return
+        if (height := floor.height(who, landmarks)) is None:
             return
         self._frames += trust.right
         seen = np.array([height.mean, height.mean**2, height.sd])
@@ -98,6 +101,8 @@ class Rest:
             return None
         # Bodies come down before they rest.
         lowest = mean - math.sqrt(max(square - mean**2, 0.0))
+        if not _PLAUSIBLE_M[0] < lowest < _PLAUSIBLE_M[1]:
+            return None
         return NormalDist(lowest, math.hypot(sd, _BODY_SD_M)).cdf(_FLOOR_BELOW_M)
 
 
