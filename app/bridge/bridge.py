@@ -168,7 +168,7 @@ class Bridge:
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:
     """The event of a person whom a restarted service does not know any more."""
     known = {"track_id": track_id, "timestamp": timestamp, "probability": 1.0}
-    unknown = {"caller_track_id": None, "dwell_s": None, "lost": False}
+    unknown = {"caller_track_id": None, "dwell_s": None, "lost": False, "on_floor": None}
     return {"event": "left", "state": "instant", "zones": [], **known, **unknown}
 
 
