@@ -10,7 +10,7 @@ from app.estimation.results import Person
 from app.tracking.body import SeenBody
 from app.tracking.motion import Motion, MotionFilter
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
-from app.vision.people import Landmarks
+from app.vision.people import Landmarks, Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
 from index.skeleton import (
@@ -148,6 +148,23 @@ def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
     np.testing.assert_array_equal(extrapolated.points_3d, before.pose.points_3d)
     assert extrapolated.confidence < before.pose.confidence
     assert smoother.extrapolate(person, EXTRAPOLATED_S + 0.1) is None
+
+
+def test_a_limb_that_swings_does_not_move_an_extrapolated_pose_as_far_as_the_box() -> None:
+    crop = np.zeros((60, 40), bool)
+    crop[:, :20] = True
+    standing = Silhouette(crop[:, :20], 100, 50, "mask", truncated=False)
+    crop[30:32, 20:] = True
+    reaching = Silhouette(crop, 100, 50, "mask", truncated=False)
+    person = person_of([seen_from(0.0)], [0.5])
+    follower = Follower()
+    _, before = follower.update(replace(person, silhouette=standing), 0.0)
+    extrapolated = follower.smoother.extrapolate(replace(person, silhouette=reaching), 0.1)
+    assert extrapolated is not None
+    shift = extrapolated.points_2d - before.pose.points_2d
+    expected = reaching.centroid - standing.centroid
+    np.testing.assert_allclose(shift, np.broadcast_to(expected, shift.shape))
+    assert 0 < expected[0] < 2  # The box's middle has moved by 10.
 
 
 @pytest.mark.parametrize(
