@@ -23,20 +23,20 @@ def colours_of(frame: Frame, silhouette: Silhouette) -> NDArray[np.float32]:
 
     They are histograms of hue by saturation, and of brightness, for each half; they sum to 1.
     """
-    rows, columns = silhouette.crop.shape
-    left, top = silhouette.left, silhouette.top
-    step = max(1, max(rows, columns) // _COLOURS_PX)
     pixels, scale = seen_at(frame, HALF)
-    read = np.ix_(*((scale * np.arange(first, first + count, step)).astype(int)
-                    for first, count in ((top, rows), (left, columns))))  # fmt: skip
-    crop = cv2.cvtColor(pixels[read], cv2.COLOR_BGR2HSV)
-    mask = silhouette.crop[::step, ::step].astype(np.uint8)
-    rows = len(mask)
-    parts = []
-    for half in (np.s_[: (rows + 1) // 2], np.s_[rows // 2 :]):
-        pixels, inside = crop[half], mask[half]
-        colour = cv2.calcHist([pixels], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
-        grey = cv2.calcHist([pixels], [2], inside, [_GREYS], [0, 256])
+    per_pixel = round(1 / scale)
+    stride = max(1, max(silhouette.crop.shape) // (per_pixel * _COLOURS_PX))
+    mask = silhouette.crop[:: stride * per_pixel, :: stride * per_pixel].astype(np.uint8)
+    rows, columns = (
+        slice(first // per_pixel, first // per_pixel + stride * count, stride)
+        for first, count in zip((silhouette.top, silhouette.left), mask.shape, strict=True)
+    )
+    crop = cv2.cvtColor(pixels[rows, columns], cv2.COLOR_BGR2HSV)
+    parts, middle = [], len(mask) / 2
+    for half in (np.s_[: math.ceil(middle)], np.s_[math.floor(middle) :]):
+        part, inside = crop[half], mask[half]
+        colour = cv2.calcHist([part], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
+        grey = cv2.calcHist([part], [2], inside, [_GREYS], [0, 256])
         parts += [colour.ravel(), grey.ravel()]
     histogram = np.concatenate(parts)
     return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
