@@ -53,12 +53,13 @@ _GIVEN_SD, _SIZE_SD = 0.03, 0.07
 _MOVED_AFTER, _MOVED_FROM = 6, 3.0
 
 
-# A body is as likely on the floor as on a bed at this height, metres. Chosen on the real films:
-# bodies on floors are mostly read as -0.1 to 0.3 m high, those on beds as 0.55 to 0.9 m.
-_FLOOR_BELOW_M = 0.42
-# Standard deviation of heights beyond the camera's, and of those that say nothing; outside the last
-# range, no bed or floor is likely, but a misreading; metres.
-_BODY_SD_M, _UNKNOWN_FROM_M, _PLAUSIBLE_M = 0.05, 0.2, (-0.6, 1.2)
+# How high a body is read that is as likely on the floor as on a bed, metres; and the standard
+# deviation of the logarithm of its distance, as of rendered bodies that lie. Chosen on the real
+# films and on simulated rooms with beds of 0.3 to 0.7 m.
+_FLOOR_BELOW_M, _DISTANCE_SD = 0.35, 0.07
+# Probability of the floor, or of a bed, from which it is told; and the heights beyond which a
+# reading or the floor must be wrong, metres.
+_TOLD_FROM, _PLAUSIBLE_M = 0.8, (-0.6, 1.2)
 # Of frames that show who lies, least probabilities of the posture and of right landmarks; seconds
 # for which they count, since people fall out of bed; how many are needed, weighted by the latter.
 _LIES_FROM, _READ_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 0.1, 1.0, 0.8
@@ -75,8 +76,8 @@ class Rest:
     """Whether one person lies on the floor, by the frames of the last second in which they lie."""
 
     def __init__(self) -> None:
-        # Of the frames: their weight, and the means of heights, their squares and deviations.
-        self._frames, self._means, self._at = 0.0, np.zeros(3), -math.inf
+        # Of the frames: their weight, and the means of heights and of their deviations.
+        self._frames, self._means, self._at = 0.0, np.zeros(2), -math.inf
 
     def update(self, timestamp: float, person: Person, who: int, floor: Floor) -> None:
         """Add a frame of the person."""
@@ -90,20 +91,16 @@ class Rest:
         if (height := floor.height(who, landmarks)) is None:
             return
         self._frames += trust.right
-        seen = np.array([height.mean, height.mean**2, height.sd])
-        self._means = self._means + trust.right / max(self._frames, 1e-6) * (seen - self._means)
+        self._means = self._means + trust.right / self._frames * (np.array(height) - self._means)
 
     @property
     def on_floor(self) -> float | None:
-        """Probability that the person lies on the floor; None while it is not known."""
-        mean, square, sd = self._means.tolist()
-        if self._frames < _LEAST_FRAMES or sd > _UNKNOWN_FROM_M:
+        """Probability that the person lies on the floor; None while nobody can tell."""
+        mean, sd = self._means.tolist()
+        if self._frames < _LEAST_FRAMES or not _PLAUSIBLE_M[0] < mean < _PLAUSIBLE_M[1]:
             return None
-        # Bodies come down before they rest.
-        lowest = mean - math.sqrt(max(square - mean**2, 0.0))
-        if not _PLAUSIBLE_M[0] < lowest < _PLAUSIBLE_M[1]:
-            return None
-        return NormalDist(lowest, math.hypot(sd, _BODY_SD_M)).cdf(_FLOOR_BELOW_M)
+        on_floor = NormalDist(mean, sd).cdf(_FLOOR_BELOW_M)
+        return on_floor if max(on_floor, 1 - on_floor) >= _TOLD_FROM else None
 
 
 @dataclass(frozen=True)
@@ -207,7 +204,8 @@ class Floor:
 
         mean, step = over_floor(state), 1e-4
         slopes = np.array([(over_floor(state + one) - mean) / step for one in step * np.eye(5)])
-        return Height(mean, float(np.sqrt(slopes @ covariance @ slopes)))
+        of_body = _DISTANCE_SD * (np.exp(state[2]) - mean)
+        return Height(mean, math.hypot(of_body, math.sqrt(slopes @ covariance @ slopes)))
 
 
 def _stands(person: Person, frame_shape: tuple[int, ...]) -> bool:
