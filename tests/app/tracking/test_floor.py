@@ -121,10 +121,10 @@ def height(scene: Scene, over: float, *, who: int = 1, turned: float = 1.2) -> H
 def test_people_who_walk_show_how_the_camera_hangs(
     height_m: float, tilt_deg: float, fov_deg: float, given: bool
 ) -> None:
-    view = watched(Scene(height_m, tilt_deg, fov_deg, given=given), 3).floor.view
-    assert view is not None
-    assert np.rad2deg(view.mean[0]) == pytest.approx(tilt_deg, abs=3 if given else 6)
-    assert np.exp(view.mean[2]) + 0.08 == pytest.approx(height_m, rel=0.1 if given else 0.2)
+    known = watched(Scene(height_m, tilt_deg, fov_deg, given=given), 3).floor.calibration
+    assert known is not None
+    assert np.rad2deg(known.mean[0]) == pytest.approx(tilt_deg, abs=3 if given else 6)
+    assert np.exp(known.mean[2]) + 0.08 == pytest.approx(height_m, rel=0.1 if given else 0.2)
 
 
 @pytest.mark.parametrize("fov_deg", [60.0, 80.0])
@@ -162,8 +162,8 @@ def test_the_size_of_the_picture_changes_nothing() -> None:
 def test_somebody_short_who_stood_is_known_to_be_short() -> None:
     scene, generator = watched(Scene(2.4, 25), 4), np.random.default_rng(1)
     scene.walk(9, generator, size=0.8)
-    assert scene.floor.view is not None
-    sizes = dict(zip(scene.floor.view.people, scene.floor.view.mean[4:], strict=True))
+    assert scene.floor.calibration is not None
+    sizes = dict(zip(scene.floor.calibration.people, scene.floor.calibration.mean[4:], strict=True))
     assert sizes[9] < min(sizes[who] for who in (1, 2, 3, 4)) - 0.1
     # Of others, nobody knows.
     assert height(scene, 0.0, who=77).sd > 1.3 * height(scene, 0.0).sd
@@ -206,7 +206,7 @@ def test_a_moved_camera_is_learnt_anew() -> None:
 def test_another_field_of_view_is_another_camera() -> None:
     scene = watched(Scene(2.4, 25))
     scene.floor.watch(PinholeCamera.of_frame(scene.shape, 70))
-    assert scene.floor.view is None
+    assert scene.floor.calibration is None
 
 
 def rested(scene: Scene, over: float, frames: int = 6) -> Rest:
