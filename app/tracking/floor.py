@@ -8,7 +8,6 @@ it is nearer to the camera than the floor that is seen beside it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from statistics import NormalDist
 from typing import NamedTuple
 
@@ -53,12 +52,13 @@ _GIVEN_SD, _SIZE_SD = 0.03, 0.07
 _MOVED_AFTER, _MOVED_FROM = 6, 3.0
 
 
-# A body is as likely on the floor as on a bed at this height, metres. Chosen on the real films:
-# bodies on floors are mostly read as -0.1 to 0.3 m high, those on beds as 0.55 to 0.9 m.
-_FLOOR_BELOW_M = 0.42
-# Standard deviation of heights beyond the camera's, and of those that say nothing; outside the last
-# range, no bed or floor is likely, but a misreading; metres.
-_BODY_SD_M, _UNKNOWN_FROM_M, _PLAUSIBLE_M = 0.05, 0.2, (-0.6, 1.2)
+# How high a body is read that is as likely on the floor as on a bed, metres; and the standard
+# deviation of the logarithm of its distance, as of rendered bodies that lie. Chosen on the real
+# films and on simulated rooms with beds of 0.3 to 0.7 m.
+_FLOOR_BELOW_M, _DISTANCE_SD = 0.35, 0.07
+# Probability of the floor, or of a bed, from which it is told; and the heights beyond which a
+# reading or the floor must be wrong, metres.
+_TOLD_FROM, _PLAUSIBLE_M = 0.8, (-0.6, 1.2)
 # Of frames that show who lies, least probabilities of the posture and of right landmarks; seconds
 # for which they count, since people fall out of bed; how many are needed, weighted by the latter.
 _LIES_FROM, _READ_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 0.1, 1.0, 0.8
@@ -75,8 +75,7 @@ class Rest:
     """Whether one person lies on the floor, by the frames of the last second in which they lie."""
 
     def __init__(self) -> None:
-        # Of the frames: their weight, and the means of heights, their squares and deviations.
-        self._frames, self._means, self._at = 0.0, np.zeros(3), -math.inf
+        self._frames, self._height, self._at = 0.0, Height(0.0, 0.0), -math.inf
 
     def update(self, timestamp: float, person: Person, who: int, floor: Floor) -> None:
         """Add a frame of the person."""
@@ -90,24 +89,22 @@ class Rest:
         if (height := floor.height(who, landmarks)) is None:
             return
         self._frames += trust.right
-        seen = np.array([height.mean, height.mean**2, height.sd])
-        self._means = self._means + trust.right / max(self._frames, 1e-6) * (seen - self._means)
+        share = trust.right / self._frames
+        self._height = Height(
+            *(a + share * (b - a) for a, b in zip(self._height, height, strict=True))
+        )
 
     @property
     def on_floor(self) -> float | None:
-        """Probability that the person lies on the floor; None while it is not known."""
-        mean, square, sd = self._means.tolist()
-        if self._frames < _LEAST_FRAMES or sd > _UNKNOWN_FROM_M:
+        """Probability that the person lies on the floor; None while nobody can tell."""
+        mean, sd = self._height
+        if self._frames < _LEAST_FRAMES or not _PLAUSIBLE_M[0] < mean < _PLAUSIBLE_M[1]:
             return None
-        # Bodies come down before they rest.
-        lowest = mean - math.sqrt(max(square - mean**2, 0.0))
-        if not _PLAUSIBLE_M[0] < lowest < _PLAUSIBLE_M[1]:
-            return None
-        return NormalDist(lowest, math.hypot(sd, _BODY_SD_M)).cdf(_FLOOR_BELOW_M)
+        on_floor = NormalDist(mean, sd).cdf(_FLOOR_BELOW_M)
+        return on_floor if max(on_floor, 1 - on_floor) >= _TOLD_FROM else None
 
 
-@dataclass(frozen=True)
-class View:
+class Calibration(NamedTuple):
     """A camera over a floor, and the people who showed it.
 
     The mean ``(4 + P,)`` and the covariance are of tilt and roll, radians, of the logarithms of the
@@ -130,7 +127,7 @@ class Floor:
     def forget(self) -> None:
         """Begin again, as for a camera that was moved."""
         self._seen: list[tuple[int, NDArray[np.float64]]] = []
-        self._view: View | None = None
+        self._calibration: Calibration | None = None
 
     def watch(self, camera: PinholeCamera) -> None:
         """Set the camera of the frames that follow; another one has another floor."""
@@ -164,37 +161,37 @@ class Floor:
             people = [one for one, _ in self._seen]
             del self._seen[people.index(max(people, key=people.count))]
         self._seen.append((who, row))
-        self._view = None
+        self._calibration = None
 
     @property
-    def view(self) -> View | None:
+    def calibration(self) -> Calibration | None:
         """The camera over the floor; None while too little was seen."""
-        if self._view is None and len(self._seen) >= _LEAST:
-            self._view = self._fitted()
-            new = self._view.misfit[-_MOVED_AFTER:]
+        if self._calibration is None and len(self._seen) >= _LEAST:
+            self._calibration = self._fitted()
+            new = self._calibration.misfit[-_MOVED_AFTER:]
             if len(self._seen) > _MOVED_AFTER and np.median(new) > _MOVED_FROM:
                 self._seen = self._seen[-_MOVED_AFTER:]
-                self._view = self._fitted()
-        return self._view
+                self._calibration = self._fitted()
+        return self._calibration
 
-    def _fitted(self) -> View:
+    def _fitted(self) -> Calibration:
         assert self._camera is not None
         who, rows = zip(*self._seen, strict=True)
         return fitted(np.array(rows), np.array(who), focal_is_known=self._camera.given)
 
     def height(self, who: int, landmarks: Landmarks) -> Height | None:
         """How high a body is over the floor; None while the floor is not known."""
-        view, camera = self.view, self._camera
-        if view is None or camera is None:
+        known, camera = self.calibration, self._camera
+        if known is None or camera is None:
             return None
         # The camera, and the size of this person.
         columns = [0, 1, 2, 3]
         state, covariance = np.zeros(5), np.diag([0.0, 0.0, 0.0, 0.0, _SIZE_SD**2])
-        if who in view.people:
-            columns.append(4 + view.people.index(who))
+        if who in known.people:
+            columns.append(4 + known.people.index(who))
         count = len(columns)
-        state[:count] = view.mean[columns]
-        covariance[:count, :count] = view.covariance[np.ix_(columns, columns)]
+        state[:count] = known.mean[columns]
+        covariance[:count, :count] = known.covariance[np.ix_(columns, columns)]
 
         rays = camera.rays(landmarks.positions)
 
@@ -207,7 +204,8 @@ class Floor:
 
         mean, step = over_floor(state), 1e-4
         slopes = np.array([(over_floor(state + one) - mean) / step for one in step * np.eye(5)])
-        return Height(mean, float(np.sqrt(slopes @ covariance @ slopes)))
+        of_body = _DISTANCE_SD * (np.exp(state[2]) - mean)
+        return Height(mean, math.hypot(of_body, math.sqrt(slopes @ covariance @ slopes)))
 
 
 def _stands(person: Person, frame_shape: tuple[int, ...]) -> bool:
@@ -261,7 +259,9 @@ def _robust(residuals: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]
     return float(_WRONG_FROM**2 * np.log1p(squares).sum()), 1 / (1 + squares)
 
 
-def fitted(rows: NDArray[np.float64], who: NDArray[np.int64], *, focal_is_known: bool) -> View:
+def fitted(
+    rows: NDArray[np.float64], who: NDArray[np.int64], *, focal_is_known: bool
+) -> Calibration:
     """The likeliest camera of sightings ``(N, 8)``, by Levenberg's and Marquardt's method.
 
     A row has the places of feet, head and hips over the focal length, the inverse distance of the
@@ -307,4 +307,4 @@ def fitted(rows: NDArray[np.float64], who: NDArray[np.int64], *, focal_is_known:
             break
     misfit = np.sqrt((residuals[:, :3] ** 2).mean(axis=1))
     covariance = np.asarray(np.linalg.inv(curvature), np.float64)
-    return View(state, covariance, tuple(people.tolist()), misfit)
+    return Calibration(state, covariance, tuple(people.tolist()), misfit)
