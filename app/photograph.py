@@ -414,7 +414,8 @@ def load_models(concurrency: int) -> Models:
         file_of("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
     )
     masks = MaskNetwork(file_of("pose_mask"), **share)
-    reader = PersonReader(landmarks, masks, KeypointReader(small_movenet))
+    judgement = load_photograph_models()
+    reader = PersonReader(landmarks, masks, KeypointReader(small_movenet), judgement)
     pose_detection = BlazePoseDetector(file_of("pose_detection"), **share)
     objects = ObjectNetwork(file_of("objects"), **share)
     detectors = MoveNetDetector(movenet, small_movenet), pose_detection
@@ -423,7 +424,7 @@ def load_models(concurrency: int) -> Models:
     box = Box(120.0, 40.0, 60.0, 160.0)
     detector.detect(frame)
     detector.object_log_odds(frame, Detection(box, 0.5))
-    reader.read(frame, box)
+    reader.read(frame, PinholeCamera.of_frame(frame.shape), Detection(box, 0.5))
     # Kept where they are used: a track needs no estimator.
     falls.shipped_models()
     actions.shipped_model()
@@ -431,4 +432,4 @@ def load_models(concurrency: int) -> Models:
         shipped_network(name)
     for part in ("detection", "objects"):
         constants_of(part)
-    return Models(detector, reader, load_photograph_models())
+    return Models(detector, reader, judgement)

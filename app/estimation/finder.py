@@ -3,20 +3,19 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.background import cut_out_changed, foreground, upright_regions
-from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.tiles import smallest_person_px, tiles_of
 from app.vision.geometry import Box, PersonWindow
 from app.vision.halved import Frame, whole
-from app.vision.judgement import Judgement, PhotographModels
-from app.vision.optics import PinholeCamera
-from app.vision.people import Detection, Silhouette
-from app.vision.person_reader import MIN_PRESENCE, PersonReader, reading_quality
+from app.vision.judgement import JudgedReading, PhotographModels
+from app.vision.people import Detection, ObservedKeypoints, Silhouette
+from app.vision.person_reader import PersonReader, agreement, beside_landmarks
 from app.vision.same_person import first_of_body
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import attenuate_visibility_at_border, end_beyond_border
@@ -39,17 +38,21 @@ class Target:
     ----------
     found : Detection
         As detected; for marked or tracked people, the box in which they are expected.
-    expected : PersonWindow or PoseReading or None
+    expected : PersonWindow or JudgedReading or None
         Window in which a track expects the person, or the reading in it.
     followed : bool
         Whether only a track, and no detection, places the person there.
+    least_trust, seen
+        Those of :meth:`app.vision.person_reader.PersonReader.follow`.
     """
 
     found: Detection
-    expected: PersonWindow | PoseReading | None = None
+    expected: PersonWindow | JudgedReading | None = None
     followed: bool = False
+    least_trust: float = 0.0
+    seen: ObservedKeypoints | Literal["look"] | None = "look"
 
-    def box_of(self, reading: PoseReading | None) -> Box:
+    def box_of(self, reading: JudgedReading | None) -> Box:
         """The person's box; for a person who is only followed, the box about the landmarks."""
         if self.followed and reading is not None:
             return reading.landmarks.box().grown(_BODY_MARGIN)
@@ -58,15 +61,14 @@ class Target:
 
 @dataclass(frozen=True)
 class _Body:
-    """A body to observe: its target, the best reading of it, and the judgement of this reading.
+    """A body to observe: its target, and the best reading of it.
 
     ``beside`` says that the body was read while others were painted over.
     """
 
     target: Target
-    reading: PoseReading | None = None
+    reading: JudgedReading | None = None
     beside: bool = False
-    judged: Judgement | None = None
 
     @property
     def box(self) -> Box:
@@ -180,20 +182,23 @@ class PeopleFinder:
         job.checkpoint()
         return self._most(people, job), beside[: max(0, self.max_persons - len(people))]
 
-    def read(self, frame: Frame, targets: Sequence[Target], job: Job) -> list[PoseReading | None]:
+    def read(
+        self, upload: DecodedUpload, targets: Sequence[Target], job: Job
+    ) -> list[JudgedReading | None]:
         """Read landmarks of people, without their masks.
 
         None stands for a track's window that no longer shows a person, and for targets left out.
         """
-        reader = self.models.reader
+        reader, frame, camera = self.models.reader, upload.frame, upload.camera
 
-        def read(target: Target) -> PoseReading | None:
+        def read(target: Target) -> JudgedReading | None:
             expected, found = target.expected, target.found
-            if target.followed and isinstance(expected, PoseReading):
+            if target.followed and isinstance(expected, JudgedReading):
                 return expected
             if target.followed and isinstance(expected, PersonWindow):
-                return reader.follow(frame, expected)
-            return reader.read(frame, found.box, found.keypoints, found.windows, expected)
+                known = target.least_trust, target.seen
+                return reader.follow(frame, camera, found, expected, *known)
+            return reader.read(frame, camera, found, expected)
 
         with job.stage("keypoints"):
             return job.map_until(_READ_UNTIL, read, targets)
@@ -239,12 +244,12 @@ class PeopleFinder:
         if cut is not None and not landmarks:
             bodies = [*map(_Body, targets)]
         elif marked:
-            bodies = [*map(_Body, targets, self.read(upload.frame, targets, job))]
+            bodies = [*map(_Body, targets, self.read(upload, targets, job))]
         else:
-            bodies, shows = self._bodies(upload.frame, targets, perhaps_beside, job)
-        with job.stage("keypoints"):
-            look = partial(self._look, masked=cut is None, camera=upload.camera)
-            bodies = job.map(look, bodies)
+            bodies, shows = self._bodies(upload, targets, perhaps_beside, job)
+        if cut is None:
+            with job.stage("keypoints"):
+                bodies = job.map(self._masked, bodies)
         with job.stage("segment"):
             cut = cut or _by_masks(bodies, upload.frame.shape, job, exact=marked)
             silhouettes = cut([body.box for body in bodies])
@@ -259,13 +264,13 @@ class PeopleFinder:
 
     def _bodies(
         self,
-        frame: Frame,
+        upload: DecodedUpload,
         targets: Sequence[Target],
         perhaps_beside: Sequence[Detection],
         job: Job,
     ) -> tuple[list[_Body], list[int | None]]:
         """The bodies of the targets, each once, and for each target the position of its body."""
-        readings = self.read(frame, targets, job)
+        readings = self.read(upload, targets, job)
         best = best_shown_by(targets, readings)
         kept = [row for row in range(len(targets)) if best.get(row) == row]
         bodies = [_Body(targets[row], readings[row]) for row in kept]
@@ -275,10 +280,10 @@ class PeopleFinder:
         hidden += [
             Target(replace(one, score=max(one.score, _READ_BESIDE_SCORE))) for one in perhaps_beside
         ]
-        return bodies + self._read_beside(frame, hidden, bodies, job), shows
+        return bodies + self._read_beside(upload, hidden, bodies, job), shows
 
     def _read_beside(
-        self, frame: Frame, hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
+        self, upload: DecodedUpload, hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
     ) -> list[_Body]:
         """New bodies that detections show when they are read beside known bodies.
 
@@ -292,28 +297,24 @@ class PeopleFinder:
             if one.keypoints is None or job.is_late(_READ_UNTIL):
                 continue
             with job.stage("keypoints"):
-                reading = self.models.reader.read_beside(frame, one.box, one.keypoints, known)
+                reading = self.models.reader.read_beside(upload.frame, upload.camera, one, known)
             if reading is None or first_of_body([*known, reading])[-1] < len(known):
                 continue
             known.append(reading)
             found.append(_Body(target, reading, beside=True))
         return found
 
-    def _look(self, body: _Body, *, masked: bool, camera: PinholeCamera) -> _Body:
-        """A body with its reading judged, and with the mask if it is wanted."""
-        reading = body.reading
-        if reading is None:
-            return body
-        if masked:
-            reading = self.models.reader.with_mask(reading)
-        return replace(body, reading=reading, judged=self.models.judgement.judge(reading, camera))
+    def _masked(self, body: _Body) -> _Body:
+        """A body with its mask."""
+        reading = body.reading and self.models.reader.with_mask(body.reading)
+        return replace(body, reading=reading)
 
     def _with_reading(
         self, person: Person, body: _Body, upload: DecodedUpload, *, landmarks: bool
     ) -> Person:
         """Add whether the body is truncated according to the reading, and landmarks if wanted."""
-        reading, judged = body.reading, body.judged
-        if reading is None or judged is None:
+        reading = body.reading
+        if reading is None:
             return person
         shape, silhouette = upload.frame.shape, person.silhouette
         visible = attenuate_visibility_at_border(reading, shape)
@@ -323,18 +324,19 @@ class PeopleFinder:
             person,
             silhouette=silhouette,
             next_window=reading.next_window,
-            presence=judged.trust.person,
+            seen_keypoints=beside_landmarks(reading),
+            presence=reading.trust.person,
         )
         if not landmarks:
             return person
-        metres = judged.body.along_sight(upload.camera, visible)
-        covariance = self.models.judgement.depth.covariance(judged.body.sigmas)
+        metres = reading.body.along_sight(upload.camera, visible)
+        covariance = self.models.judgement.depth.covariance(reading.body.sigmas)
         return replace(
             person,
             landmarks=replace(visible, metres=metres, depth_covariance=covariance),
-            frame_posture=judged.posture,
-            trust=judged.trust,
-            hips=None if silhouette is None else judged.body.origin,
+            frame_posture=reading.posture,
+            trust=reading.trust,
+            hips=None if silhouette is None else reading.body.origin,
         )
 
 
@@ -351,14 +353,14 @@ def _by_masks(
 def _person(body: _Body, silhouette: Silhouette | None, source: Source, *, tight: bool) -> Person:
     """The person of a body, without the results of its reading."""
     box, reading = body.box, body.reading
-    if tight and silhouette and reading and reading.presence >= MIN_PRESENCE:
+    if tight and silhouette and reading and reading.trust.is_person:
         box = silhouette.box
     score = None if source in _MARKED else body.target.found.score
     return Person(box, source, score, silhouette, beside=body.beside)
 
 
 def best_shown_by(
-    targets: Sequence[Target], readings: Sequence[PoseReading | None]
+    targets: Sequence[Target], readings: Sequence[JudgedReading | None]
 ) -> dict[int, int]:
     """For each row with a reading, the row whose reading of the same body is kept.
 
@@ -372,7 +374,7 @@ def best_shown_by(
         target, reading = targets[row], read[row]
         if target.followed:
             return 1.0, -target.found.box.iou(reading.landmarks.box())
-        return -reading_quality(reading, target.found.keypoints), 0.0
+        return -agreement(reading, target.found.keypoints), 0.0
 
     order = sorted(read, key=rank)
     first = first_of_body([read[row] for row in order])

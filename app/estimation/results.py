@@ -12,8 +12,7 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
-from app.vision.people import Landmarks, Silhouette
-from app.vision.person_reader import MIN_PRESENCE
+from app.vision.people import Landmarks, ObservedKeypoints, Silhouette
 from app.vision.rectification import Rectification
 from index.matching import PoseHypothesis
 from index.skeleton import wrap_degrees
@@ -71,11 +70,12 @@ class Person:
     people, the silhouette if none was found in a caller's box. Landmarks and everything that
     follows from them, including ``trust`` and the frame's posture, are None if no landmarks were
     read. ``presence``, from the trust, is the probability that the window of the reading shows a
-    person. ``next_window`` is the window to read in the next frame. ``beside`` says that the
-    network saw the person only while others were painted over. ``patch`` and ``colours`` ``(80,)``
-    describe the looks of a tracked person. ``hips`` ``(3,)`` is the middle of the hips, metres from
-    the camera in its axes. Hypotheses come best first; without a silhouette there are no
-    hypotheses, colours, facing or posture.
+    person. ``next_window`` is the window to read in the next frame, ``seen_keypoints`` are those of
+    MoveNet relative to the landmarks. ``beside`` says that the network saw the person only while
+    others were painted over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked
+    person. ``hips`` ``(3,)`` is the middle of the hips, metres from the camera in its axes.
+    Hypotheses come best first; without a silhouette there are no hypotheses, colours, facing or
+    posture.
     """
 
     box: Box
@@ -85,6 +85,7 @@ class Person:
     landmarks: Landmarks | None = None
     presence: float | None = None
     next_window: PersonWindow | None = None
+    seen_keypoints: ObservedKeypoints | None = None
     beside: bool = False
     patch: Patch | None = None
     colours: NDArray[np.float32] | None = None
@@ -105,7 +106,7 @@ class Person:
         """Whether the window about a caller's box shows no person."""
         if self.source != "boxes":
             return False
-        unseen = self.presence is not None and self.presence < MIN_PRESENCE
+        unseen = self.presence is not None and self.presence < 0.5
         return self.silhouette is None or unseen
 
     @property

@@ -1,11 +1,12 @@
 """Finds the people of a camera's frame: tracked people in their windows, new people by a search.
 
 Landmarks of tracked people are read on every frame, in the windows that their last landmarks point
-to; people who do not move are read every 0.4 s. At intervals, and if a track's window no longer
-shows a person, the whole frame is searched, to find new people and to check the tracks: MoveNet,
-which needs no window, finds people whose windows have drifted off. While nothing changes around
-tracked people, searches are rarer. In an empty scene, the coefficients of a JPEG show whether
-anything changes.
+to; people who do not move are read every 0.4 s. As often, and when a reading is no longer trusted,
+MoveNet looks at them as well, and other windows are read. At intervals, and if a track's window no
+longer shows a person, the whole frame is searched, to find new people and to check the tracks:
+MoveNet, which needs no window, finds people whose windows have drifted off. While nothing changes
+around tracked people, searches are rarer. In an empty scene, the coefficients of a JPEG show
+whether anything changes.
 """
 
 from __future__ import annotations
@@ -24,21 +25,22 @@ from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.tracking.track import Track
-from app.vision.blazepose import LANDMARK_PX, PoseReading
+from app.vision.blazepose import LANDMARK_PX
 from app.vision.geometry import Box, PersonWindow, shrink_quickly
 from app.vision.halved import HALF, Frame, seen_at
 from app.vision.images import reduced_grey
+from app.vision.judgement import JudgedReading
 from app.vision.people import Detection
-from app.vision.person_reader import MOVENET_FROM_PX
 from app.vision.same_person import is_expected
 from app.vision.truncation import ends_at_border
 
 SEARCH_EVERY_S = 0.4
-"""Time between two searches of the whole frame while it changes around the tracked people."""
+"""Time between two searches of the whole frame while it changes around the tracked people, and
+between two looks of MoveNet at each of them."""
 
 UNCHANGED_SEARCH_EVERY_S = 0.8
-"""Time between two searches if nothing has changed around the tracked people since the first and
-MoveNet checks all their windows: a search would find nobody new."""
+"""Time between two searches if nothing has changed around the tracked people since the first: a
+search would find nobody new."""
 
 STILL_SEARCH_EVERY_S = 3.0
 """Time between two searches while nothing changes around them."""
@@ -51,10 +53,13 @@ finds only people who were missed on entering."""
 # every frame is searched.
 _ENTERS_WITHIN_S = 1.0
 
+# Trust below which other windows are read, if the reading before was likelier right than not.
+_LOST_TRUST = 0.25
+
 # A track's window is read for this long after a sighting.
 _WINDOW_LASTS_S = 0.5
 
-Expected = Mapping[Track, PersonWindow | PoseReading]
+Expected = Mapping[Track, PersonWindow | JudgedReading]
 """Windows in which tracks expect their people, or the readings in them."""
 
 
@@ -65,6 +70,7 @@ class TrackedPeopleDetector:
         self._finder = finder
         self._searched_at = self._read_at = -math.inf
         self._left_out = 0  # People whom the last search left out.
+        self._looked_at: dict[Track, float] = {}  # When MoveNet looked at each tracked person.
         self._scene = _Scene()
 
     @property
@@ -83,8 +89,9 @@ class TrackedPeopleDetector:
         in_window : dict
             Maps the position of each person found in a track's window to that track.
         """
-        found, beside, followed, unchanged = self._targets(upload.frame, timestamp, tracks, job)
-        targets = [*found, *(_followed(*one, timestamp) for one in followed.items())]
+        self._looked_at = {one: self._looked_at.get(one, timestamp) for one in tracks}
+        found, beside, followed, unchanged = self._targets(upload, timestamp, tracks, job)
+        targets = [*found, *(self._followed(*one, timestamp) for one in followed.items())]
         people, shown = self._finder.observe(
             upload, targets, job, perhaps_beside=beside, tight=True
         )
@@ -125,20 +132,20 @@ class TrackedPeopleDetector:
         return self._scene.is_still_in_file(data, shape, smallest, timestamp)
 
     def _targets(
-        self, frame: Frame, timestamp: float, tracks: Sequence[Track], job: Job
+        self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
     ) -> _Wanted:
         """What is to be read in a frame.
 
         If the windows show all people that a search could find, the frame is not searched. Then,
         people who do not move may stay as they were.
         """
-        state = _Followed.at(timestamp, tracks, self._read_at)
+        frame, state = upload.frame, _Followed.at(timestamp, tracks, self._read_at)
         smallest = self._finder.smallest_px(frame.shape)
         still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, state, is_still=still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
-            shown = self._in_windows(frame, timestamp, expected, job)
+            shown = self._in_windows(upload, timestamp, expected, job)
             seen = {*shown.followed, *shown.unchanged}
             gone = [one for one in expected if one.track_id is not None and one not in seen]
             if not any(_may_be_there(one, frame.shape) for one in gone):
@@ -155,7 +162,7 @@ class TrackedPeopleDetector:
         if not state.tracks:
             return 0.0 if self._scene.has_just_changed(timestamp) else SEARCH_EVERY_S
         changed = self._scene.has_changed_since(self._searched_at)
-        return UNCHANGED_SEARCH_EVERY_S if state.all_checked and not changed else SEARCH_EVERY_S
+        return UNCHANGED_SEARCH_EVERY_S if state.all_in_windows and not changed else SEARCH_EVERY_S
 
     def _searched(
         self,
@@ -181,16 +188,32 @@ class TrackedPeopleDetector:
             near = max(unseen, key=lambda track: places[track].iou(one.box), default=None)
             is_there = near is not None and is_expected(one.box, places[near])
             targets.append(Target(one, unseen.pop(near) if near and is_there else None))
+            if near and is_there:
+                self._looked_at[near] = timestamp
         return _Wanted(targets, beside, unseen, {})
 
-    def _in_windows(self, frame: Frame, timestamp: float, expected: Expected, job: Job) -> _Wanted:
+    def _in_windows(
+        self, upload: DecodedUpload, timestamp: float, expected: Expected, job: Job
+    ) -> _Wanted:
         """The tracks whose windows still show their person, with readings, and unchanged people."""
-        unchanged = _unchanged(frame, timestamp, expected)
+        unchanged = _unchanged(upload.frame, timestamp, expected)
         moving = {track: window for track, window in expected.items() if track not in unchanged}
-        targets = [_followed(*one, timestamp) for one in moving.items()]
-        readings = zip(moving, self._finder.read(frame, targets, job), strict=True)
+        targets = [self._followed(*one, timestamp) for one in moving.items()]
+        readings = zip(moving, self._finder.read(upload, targets, job), strict=True)
         shown = {track: reading for track, reading in readings if reading is not None}
         return _Wanted([], [], shown, unchanged)
+
+    def _followed(
+        self, track: Track, window: PersonWindow | JudgedReading, timestamp: float
+    ) -> Target:
+        """The target of a track at its predicted box."""
+        place = Detection(track.box_filter.predict(timestamp), track.score)
+        # That trust wavers is no reason to read other windows.
+        least_trust = _LOST_TRUST if track.trusted else 0.0
+        if timestamp - self._looked_at[track] < SEARCH_EVERY_S:
+            return Target(place, window, True, least_trust, track.seen_keypoints)
+        self._looked_at[track] = timestamp
+        return Target(place, window, True, least_trust)
 
 
 class _Wanted(NamedTuple):
@@ -237,12 +260,6 @@ class _Followed:
         return len(self.expected) == len(self.people) == len(self.tracks) and not self.lost
 
     @property
-    def all_checked(self) -> bool:
-        """Whether, besides, all people are so large that MoveNet checks their windows."""
-        are_large = (one.body_px >= MOVENET_FROM_PX for one in self.expected.values())
-        return self.all_in_windows and all(are_large)
-
-    @property
     def may_suffice(self) -> bool:
         """Whether the windows may show all people of the scene.
 
@@ -259,12 +276,6 @@ def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
     It cannot if the person has left the frame, or was hardly visible behind others.
     """
     return not (track.beside or ends_at_border(track.box_filter.seen, frame_shape))
-
-
-def _followed(track: Track, window: PersonWindow | PoseReading, timestamp: float) -> Target:
-    """The target of a track at its predicted box."""
-    place = Detection(track.box_filter.predict(timestamp), track.score)
-    return Target(place, window, followed=True)
 
 
 # Height of the smallest wanted person in the small pictures that are compared, and the longest side

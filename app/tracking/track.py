@@ -89,6 +89,10 @@ class Track:
         self.last_estimate = LastEstimate(timestamp)
         self.next_window: PersonWindow | None = person.next_window
         """Window in which the next frame is read."""
+        self.trusted = False
+        """Whether the last reading was trusted."""
+        self.seen_keypoints = person.seen_keypoints
+        """MoveNet's keypoints of the last look, relative to the landmarks."""
         self.beside = person.beside
         """Whether others hid the person, so that the next window hardly shows them."""
         self.colours = person.colours
@@ -134,6 +138,8 @@ class Track:
             odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window, self.beside = person.next_window, person.beside
+        self.trusted = person.trust is not None and person.trust.is_right
+        self.seen_keypoints = person.seen_keypoints
         self._patch, self.lies_at, self.hidden = person.patch, None, False
         if self.colours is None:
             self.colours = person.colours

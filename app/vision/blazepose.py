@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -162,6 +163,9 @@ class LandmarkNetwork:
         )
 
 
+_Reading = TypeVar("_Reading", bound=PoseReading)
+
+
 class MaskNetwork:
     """The part of BlazePose's landmark network that draws the mask; thread-safe.
 
@@ -172,7 +176,7 @@ class MaskNetwork:
         mask = (LANDMARK_PX, LANDMARK_PX, 1)
         self._network = TfliteNetwork(path, _MASK_SHAPES, [mask], threads=threads, copies=copies)
 
-    def read(self, reading: PoseReading) -> PoseReading:
+    def read(self, reading: _Reading) -> _Reading:
         """The same reading with its mask."""
         (log_odds,) = self._network.run(*reading.mask_inputs)
         return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())

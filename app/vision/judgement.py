@@ -8,7 +8,7 @@ probability for each.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,16 @@ class Trust:
     # within a fifth of the trunk of their true places, for windows like those in training.
     right: float
 
+    @property
+    def is_person(self) -> bool:
+        """Whether the window likelier shows a person than not."""
+        return self.person >= 0.5
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the landmarks are likelier right than not."""
+        return self.right >= 0.5
+
 
 FRAME_POSTURES = "standing", "bending", "crouching", "sitting", "all_fours", "lying"
 
@@ -52,9 +62,9 @@ class FramePosture:
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 
 
-@dataclass(frozen=True)
-class Judgement:
-    """The models' judgement of a reading."""
+@dataclass(frozen=True, kw_only=True)
+class JudgedReading(PoseReading):
+    """A reading, and the models' judgement of it."""
 
     body: Body3D
     trust: Trust
@@ -81,10 +91,12 @@ class PhotographModels:
         """A reading in three dimensions."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
-    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+    def judge(self, reading: PoseReading, camera: PinholeCamera) -> JudgedReading:
         """A reading in three dimensions, how far to trust it, and its posture."""
         body, trust, evidence = self.evidence(reading, camera)
-        return Judgement(body, trust, self.posture.estimate(evidence, trust.right))
+        posture = self.posture.estimate(evidence, trust.right)
+        given = {field.name: getattr(reading, field.name) for field in fields(PoseReading)}
+        return JudgedReading(**given, body=body, trust=trust, posture=posture)
 
     def evidence(
         self, reading: PoseReading, camera: PinholeCamera

@@ -1,47 +1,37 @@
-"""Reads one person: the best of the landmark network's readings, fused with MoveNet's keypoints.
+"""Reads one person: the first trusted reading of several windows, fused with MoveNet's keypoints.
 
 The landmark network is reliable if its window is right: about the body, with the trunk upright.
-Windows come from the detectors. MoveNet's keypoints need no window. They show which reading is
-right, and make its landmarks a little more precise where both networks agree.
+Windows come from the detectors and from tracks. Trust, the probability that a reading is right,
+says when no further one is needed. MoveNet's keypoints need no window; they make the landmarks more
+precise where both networks agree, and show whose they are among people close together.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, product
+from itertools import product
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
-from app.vision.geometry import Box, PersonWindow
+from app.vision.blazepose import LANDMARK_PX, LandmarkNetwork, MaskNetwork, PoseReading
+from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.halved import Frame, whole
+from app.vision.judgement import JudgedReading, PhotographModels
 from app.vision.movenet import KeypointReader
+from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
-    LANDMARK_NAMES,
+    Detection,
     ObservedKeypoints,
     coco_rows,
 )
-from app.vision.truncation import MIN_VISIBLE_SCORE, ends_at_border
-
-# If the trunk leans by an angle between these, an upright window is tried as well: in windows
-# turned to a leaning trunk, the network sometimes exchanges left and right.
-_MIN_LEAN_DEG = 15.0
-_MAX_LEAN_DEG = 60.0
-_GOOD_QUALITY = 0.85  # From this quality on, no further window is tried.
-# Below this quality, the window that the best reading points to is read.
-_DOUBTFUL_QUALITY = 0.6
+from app.vision.truncation import MIN_SEEN, MIN_VISIBLE_SCORE, ends_at_border
 
 MIN_PRESENCE = 0.5
 """Presence from which the landmark network recognises a person."""
-
-# A window has lost its person if the next window is farther away than this share of its side.
-_MAX_DRIFT = 0.35
-MOVENET_FROM_PX = 200.0
-"""Size of a body from which MoveNet also reads keypoints in a track's window. That takes as long as
-the reading itself; poses of smaller people are averaged over more frames instead."""
 
 
 @dataclass(frozen=True)
@@ -51,128 +41,147 @@ class PersonReader:
     network: LandmarkNetwork
     mask_network: MaskNetwork
     keypoint_reader: KeypointReader
+    judgement: PhotographModels
 
     def read(
         self,
         frame: Frame,
-        box: Box,
-        keypoints: ObservedKeypoints | None = None,
-        windows: Sequence[PersonWindow] = (),
+        camera: PinholeCamera,
+        found: Detection,
         expected: PersonWindow | PoseReading | None = None,
-    ) -> PoseReading:
-        """Read the person in a box.
+    ) -> JudgedReading:
+        """Read a person: the first reading that is good enough, else the best.
+
+        The better one has more of trust and agreement together. It is good enough if most keypoints
+        agree and the two add up to 1: if few are sure to agree, it has to be trusted.
 
         Parameters
         ----------
         frame : (H, W, 3) uint8 array
             BGR.
-        box : Box
-            Tight around the visible person.
-        keypoints : ObservedKeypoints, optional
-            MoveNet's keypoints, in pixels of the frame; by default they are read in the box.
-        windows : sequence of PersonWindow
-            Windows to try besides the one about the box, the likeliest first.
+        camera : PinholeCamera
+        found : Detection
+            The box is tight around the visible person. Without keypoints, MoveNet reads them there.
         expected : PersonWindow or PoseReading, optional
-            Window in which a track expects the person, or the reading in it; if that is good, no
-            other window is read.
+            Window in which a track expects the person, or the reading in it; it comes first.
 
         Returns
         -------
-        PoseReading
-            The best reading, its landmarks fused with the keypoints that agree with them; without
-            the mask.
+        JudgedReading
+            Its landmarks are fused with the keypoints that agree with them; without the mask.
         """
-        if keypoints is None:
-            keypoints = self.keypoint_reader.read(frame, box)
-        beyond = window_beyond_border(keypoints, box, frame.shape)
-        roll_deg = trunk_roll_deg(keypoints) or 0.0
-        about = [PersonWindow.about_box(box, roll_deg)]
-        if _MIN_LEAN_DEG < abs(roll_deg) < _MAX_LEAN_DEG:
-            about.append(PersonWindow.about_box(box))
-        best = self._best_reading(frame, (*beyond, *windows, *about), keypoints, expected)
-        if keypoints is None or best.keypoints is not None:
-            return best
-        return fuse(best, keypoints)
+        keypoints = found.keypoints or self.keypoint_reader.read(frame, found.box)
+        about = PersonWindow.about_box(found.box, trunk_roll_deg(keypoints) or 0.0)
+        readings = list[JudgedReading]()
 
-    def follow(self, frame: Frame, window: PersonWindow) -> PoseReading | None:
+        def rank(reading: JudgedReading) -> float:
+            return reading.trust.right + agreement(reading, keypoints)
+
+        def windows() -> Iterator[PersonWindow | PoseReading]:
+            if expected is not None:
+                yield expected
+            yield from window_beyond_border(keypoints, found.box, frame.shape)
+            yield from found.windows
+            yield about
+            yield max(readings, key=rank).next_window
+            yield replace(about, roll_deg=about.roll_deg + 180)
+
+        for window in windows():
+            if isinstance(window, PoseReading):
+                reading = self._with_keypoints(window, camera, keypoints)
+            elif any(window.on_grid() == earlier.window for earlier in readings):
+                continue
+            else:
+                reading = self.judged(frame, camera, window, keypoints)
+            if agrees(reading, keypoints) and rank(reading) >= 1:
+                return reading
+            readings.append(reading)
+        return max(readings, key=rank)
+
+    def follow(
+        self,
+        frame: Frame,
+        camera: PinholeCamera,
+        found: Detection,
+        window: PersonWindow,
+        least_trust: float,
+        seen: ObservedKeypoints | Literal["look"] | None = "look",
+    ) -> JudgedReading | None:
         """Read a person in the window that their last landmarks point to.
 
+        Parameters
+        ----------
+        found : Detection
+            The box in which the person is expected.
+        least_trust : float
+            If the reading is trusted less, other windows are read as well.
+        seen : ObservedKeypoints, None or "look"
+            What MoveNet saw when it looked last, see :func:`beside_landmarks`; it moves along with
+            the landmarks. By default, MoveNet looks now, and other windows are read if it
+            disagrees.
+
         Returns
         -------
-        PoseReading or None
+        JudgedReading or None
             None if the window no longer shows the person.
         """
-        reading = self.network.read(frame, window)
-        if reading.presence < MIN_PRESENCE or reading.drift > _MAX_DRIFT:
-            return None
-        if reading.body_px < MOVENET_FROM_PX:
-            return reading
-        box = reading.landmarks.box()
-        keypoints = self.keypoint_reader.read(frame, box)
-        if keypoints is None:
-            return reading
-        if sides_exchanged(reading, keypoints):
-            # The window may have misled the network.
-            return self.read(frame, box, keypoints)
-        return fuse(reading, keypoints)
+        alone = self.network.read(frame, window)
+        if seen == "look":
+            keypoints = self.keypoint_reader.read(frame, alone.landmarks.box())
+            found = replace(found, keypoints=keypoints)
+        else:
+            keypoints = seen and on_landmarks(seen, alone)
+        reading = self._with_keypoints(alone, camera, keypoints)
+        disagree = seen == "look" and not agrees(reading, keypoints)
+        if disagree or reading.trust.right < least_trust:
+            reading = self.read(frame, camera, found, alone)
+        return reading if reading.presence >= MIN_PRESENCE else None
 
     def read_beside(
         self,
         frame: Frame,
-        box: Box,
-        keypoints: ObservedKeypoints,
+        camera: PinholeCamera,
+        found: Detection,
         others: Sequence[PoseReading],
-    ) -> PoseReading | None:
+    ) -> JudgedReading | None:
         """Read a person close to others, with the others painted over so that none is read twice.
 
-        None if the reading shows no person beside them.
+        The person's keypoints are known. None if the reading shows no person beside them.
         """
-        alone = without_bodies(frame, box, keypoints, others)
-        window = PersonWindow.about_box(box, trunk_roll_deg(keypoints) or 0.0)
-        first = self.network.read(alone, window)
-        if reading_quality(first, keypoints) < _HOPELESS_QUALITY:
+        keypoints = found.keypoints
+        assert keypoints is not None
+        alone = without_bodies(frame, found.box, keypoints, others)
+        about = PersonWindow.about_box(found.box, trunk_roll_deg(keypoints) or 0.0)
+        first = self.network.read(alone, about)
+        if first.presence < MIN_PRESENCE or not agreement(first, keypoints):
             return None
-        reading = self.read(alone, box, keypoints, expected=first)
-        is_seen = reading.presence >= MIN_PRESENCE
-        fits = reading_quality(reading, keypoints) >= _MIN_QUALITY_BESIDE
-        return reading if is_seen and fits else None
+        reading = self.read(alone, camera, Detection(found.box, found.score, keypoints), first)
+        return reading if reading.trust.is_person and agrees(reading, keypoints) else None
 
-    def with_mask(self, reading: PoseReading) -> PoseReading:
+    def judged(
+        self,
+        frame: Frame,
+        camera: PinholeCamera,
+        window: PersonWindow,
+        keypoints: ObservedKeypoints | None = None,
+    ) -> JudgedReading:
+        """The reading of a window, fused with the person's keypoints if they are known."""
+        return self._with_keypoints(self.network.read(frame, window), camera, keypoints)
+
+    def _with_keypoints(
+        self, reading: PoseReading, camera: PinholeCamera, keypoints: ObservedKeypoints | None
+    ) -> JudgedReading:
+        """The reading judged, and fused with keypoints if that has not been done."""
+        is_fused = keypoints is None or reading.keypoints is not None
+        if isinstance(reading, JudgedReading) and is_fused:
+            return reading
+        return self.judgement.judge(fuse(reading, keypoints) if keypoints else reading, camera)
+
+    def with_mask(self, reading: JudgedReading) -> JudgedReading:
         """The same reading with its mask."""
         return self.mask_network.read(reading)
 
-    def _best_reading(
-        self,
-        frame: Frame,
-        windows: Iterable[PersonWindow],
-        keypoints: ObservedKeypoints | None,
-        expected: PersonWindow | PoseReading | None,
-    ) -> PoseReading:
-        """The first good reading, else the best; if it is doubtful, its next window is tried."""
 
-        def quality_of(reading: PoseReading) -> float:
-            return reading_quality(reading, keypoints)
-
-        readings: list[PoseReading] = []
-        for known in windows if expected is None else chain([expected], windows):
-            if isinstance(known, PoseReading):
-                reading = known
-            elif any(known.on_grid() == earlier.window for earlier in readings):
-                continue  # An expected reading is of this window.
-            else:
-                reading = self.network.read(frame, known)
-            if quality_of(reading) >= _GOOD_QUALITY:
-                return reading
-            readings.append(reading)
-        best = max(readings, key=quality_of)
-        if quality_of(best) >= _DOUBTFUL_QUALITY:
-            return best
-        return max(best, self.network.read(frame, best.next_window), key=quality_of)
-
-
-# Least quality of a reading beside others, and quality of a first reading below which no other
-# window shows a person; chosen on rendered groups.
-_MIN_QUALITY_BESIDE, _HOPELESS_QUALITY = 0.5, 0.2
 # Limbs of each side, by the parts at their ends.
 _LIMBS = (
     ("shoulder", "elbow"), ("elbow", "wrist"), ("shoulder", "hip"), ("hip", "knee"),
@@ -186,10 +195,6 @@ _LIMB_ENDS = [
 ]
 # Distance from the limbs up to which a body reaches, in sizes of the body.
 _FLESH = 0.2
-# Longer side of the picture in which distances to limbs are measured.
-_LIMBS_PX = 512
-# Visibility and score from which landmarks and keypoints are ends of limbs here.
-_MIN_LANDMARK_VISIBILITY, _MIN_KEYPOINT_SCORE = 0.3, 0.15
 
 
 def without_bodies(
@@ -207,16 +212,16 @@ def without_bodies(
     assert region is not None
     left, top, right, bottom = region.pixels()
     part = result[top:bottom, left:right]
-    scale = min(1.0, _LIMBS_PX / max(part.shape[:2]))
+    scale = min(1.0, 2 * LANDMARK_PX / max(part.shape[:2]))
     size = max(1, round(scale * part.shape[1])), max(1, round(scale * part.shape[0]))
 
     def distances(positions: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
         return _distance_to_limbs(size, scale * (positions - np.array([left, top])), seen)
 
-    own = distances(keypoints.positions, keypoints.scores > _MIN_KEYPOINT_SCORE)
+    own = distances(keypoints.positions, keypoints.scores > _MIN_SCORE)
     hidden = np.zeros(size[::-1], bool)
     for other in others:
-        seen = other.landmarks.visibility[COCO_LANDMARKS] > _MIN_LANDMARK_VISIBILITY
+        seen = other.landmarks.visibility[COCO_LANDMARKS] > MIN_SEEN
         theirs = distances(other.landmarks.positions[COCO_LANDMARKS], seen)
         hidden |= (theirs <= own) & (theirs <= _FLESH * scale * other.body_px)
     shown = part.shape[1::-1]
@@ -266,16 +271,14 @@ def window_beyond_border(
     return [PersonWindow.about_circle(hips, hips + _HIPS_TO_FEET * (top - hips))]
 
 
-_MIN_TRUNK_SCORE = 0.15  # Score from which hips and shoulders show the direction of the trunk.
+_MIN_SCORE = 0.15  # Score from which keypoints show the direction of the trunk, and limbs.
 
 
 def trunk_roll_deg(keypoints: ObservedKeypoints | None) -> float | None:
     """Direction from hips to shoulders, clockwise from up; None if either is not visible."""
     if keypoints is None:
         return None
-    hips, shoulders = (
-        _mean_position(keypoints, part, _MIN_TRUNK_SCORE) for part in ("hip", "shoulder")
-    )
+    hips, shoulders = (_mean_position(keypoints, part, _MIN_SCORE) for part in ("hip", "shoulder"))
     if hips is None or shoulders is None:
         return None
     right, down = shoulders - hips
@@ -293,37 +296,25 @@ def _mean_position(
     return scores @ keypoints.positions[rows] / scores.sum()
 
 
-# Weights in the quality, beside the agreement with MoveNet.
-_PRESENCE_WEIGHT = 0.3
-_DRIFT_WEIGHT = 1.0
 AGREEMENT_DISTANCE = 0.15
 """Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
-
-_UNKNOWN_AGREEMENT = 0.6  # Agreement assumed if MoveNet finds no person.
-
-
-def reading_quality(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:
-    """Quality of a reading: agreement with MoveNet, presence, and a window that stays in place."""
-    agreement = _UNKNOWN_AGREEMENT
-    if keypoints is not None:
-        agreement = _agreement(reading, keypoints)
-    return agreement + _PRESENCE_WEIGHT * reading.presence - _DRIFT_WEIGHT * reading.drift
-
 
 # Only the nose represents the face.
 _COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
 
 
-def _agreement(reading: PoseReading, keypoints: ObservedKeypoints) -> float:
-    """Share of MoveNet's keypoints, weighted by score, that the landmarks match, 0 to 1."""
+def agreement(reading: PoseReading, keypoints: ObservedKeypoints | None) -> float:
+    """Share of MoveNet's keypoints, weighted by score, that the landmarks match; 0.5 if unknown."""
+    if keypoints is None:
+        return 0.5
     scores = keypoints.scores[_COMPARED]
-    distances = _distances(reading, keypoints)[_COMPARED]
-    agrees = np.exp(-((distances / AGREEMENT_DISTANCE) ** 2))
-    total = float(scores.sum())
-    # Few keypoints are little evidence.
-    known = min(1.0, total)
-    share = float((scores * agrees).sum() / max(total, 1e-9))
-    return known * share + (1 - known) * _UNKNOWN_AGREEMENT
+    near = _distances(reading, keypoints)[_COMPARED] < AGREEMENT_DISTANCE
+    return float(scores @ near / max(float(scores.sum()), 1e-9))
+
+
+def agrees(reading: PoseReading, keypoints: ObservedKeypoints | None) -> bool:
+    """Whether most keypoints agree: they do not if the reading is of another person's body."""
+    return agreement(reading, keypoints) >= 0.5
 
 
 def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
@@ -332,20 +323,21 @@ def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np
     return np.linalg.norm(offsets, axis=1) / reading.body_px
 
 
-_OTHER_SIDE_LANDMARKS = [
-    LANDMARK_NAMES.index(
-        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
-    )
-    for name in COCO_NAMES
-]
+def beside_landmarks(reading: PoseReading) -> ObservedKeypoints | None:
+    """A reading's keypoints relative to the network's own landmarks, in sizes of the body."""
+    keypoints = reading.keypoints
+    if keypoints is None:
+        return None
+    to_frame = reading.window.to_frame(LANDMARK_PX)
+    points = reading.network_pass.points[COCO_LANDMARKS, :2].astype(np.float64)
+    apart = keypoints.positions - transform_points(to_frame, points - 0.5)
+    return ObservedKeypoints(apart / reading.body_px, keypoints.scores)
 
 
-def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
-    """Whether MoveNet's keypoints lie nearer to the landmarks of the other side."""
-    offsets = keypoints.positions - reading.landmarks.positions[_OTHER_SIDE_LANDMARKS]
-    exchanged = np.linalg.norm(offsets, axis=1) / reading.body_px
-    scores = keypoints.scores[_COMPARED]
-    return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
+def on_landmarks(seen: ObservedKeypoints, reading: PoseReading) -> ObservedKeypoints:
+    """Keypoints that move along with the landmarks of a later reading."""
+    positions = reading.landmarks.positions[COCO_LANDMARKS]
+    return ObservedKeypoints(positions + reading.body_px * seen.positions, seen.scores)
 
 
 # Weight of a keypoint of score 1, relative to the landmark with which it agrees.

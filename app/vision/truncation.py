@@ -60,7 +60,8 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
 
 _HEAD = [LANDMARK_NAMES.index("nose"), *landmark_rows("eye", "ear")]
 _FEET = landmark_rows("ankle")
-_MIN_SEEN = 0.3  # Visibility from which a landmark is seen.
+MIN_SEEN = 0.3
+"""Visibility from which a landmark is seen."""
 
 
 def end_beyond_border(box: Box, landmarks: Landmarks, frame_shape: tuple[int, ...]) -> bool:
@@ -68,7 +69,7 @@ def end_beyond_border(box: Box, landmarks: Landmarks, frame_shape: tuple[int, ..
     height, width = frame_shape[:2]
     end = np.array([width, height]) - 0.5
     inside = ((landmarks.positions > -0.5) & (landmarks.positions < end)).all(axis=1)
-    seen = inside & (landmarks.visibility >= _MIN_SEEN)
+    seen = inside & (landmarks.visibility >= MIN_SEEN)
     is_whole = seen[_HEAD].any() and seen[_FEET].any()
     return ends_at_border(box, frame_shape) and not is_whole
 

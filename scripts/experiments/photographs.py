@@ -175,7 +175,7 @@ def read(networks: Models, shown: Shown) -> list[PoseReading]:
     """Read the people of a frame, the largest first, as the service does."""
     found = [Detection(shown.box, 1.0)] if shown.box else networks.detector.detect(shown.frame)[0]
     readings = [
-        networks.reader.read(shown.frame, one.box, one.keypoints, one.windows)
+        networks.reader.read(shown.frame, PinholeCamera.of_frame(shown.frame.shape), one)
         for one in sorted(found, key=lambda one: -one.box.area)
     ]
     return [

@@ -20,6 +20,7 @@ from app.vision.geometry import Box
 from app.vision.judgement import PhotographModels, load_photograph_models
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.optics import ASSUMED_FOV_DEG, PinholeCamera
+from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
 from scripts.training.photograph_data import Rows
 from scripts.training.render.scene import EMPTY, Photograph
@@ -77,19 +78,22 @@ class Reader:
     @classmethod
     def load(cls) -> Self:
         """With the networks that ship."""
+        models = load_photograph_models()
         people = PersonReader(
             LandmarkNetwork(file_of("pose_landmarks")),
             MaskNetwork(file_of("pose_mask")),
             KeypointReader(MoveNet(file_of("movenet"))),
+            models,
         )
-        return cls(people, load_photograph_models())
+        return cls(people, models)
 
     def rows(self, number: int, photograph: Photograph, generator: Generator) -> PostureRows:
         """The rows of the views of a photograph."""
         rows = []
         for view, shown in enumerate(views_of(photograph, generator)):
-            reading = self.people.read(shown.image, rough_box(shown, generator))
+            found = Detection(rough_box(shown, generator), 1.0)
             camera = camera_of(shown, generator)
+            reading = self.people.read(shown.image, camera, found)
             _, trust, seen = self.models.evidence(reading, camera)
             one = (number, view, seen.body, seen.surroundings, trust.right, reading.presence)
             rows.append([np.array([value]) for value in (*one, shown.posture)])

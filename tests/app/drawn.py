@@ -14,6 +14,8 @@ from app.scheduling.job import Job
 from app.tracking.results import TrackedFrame
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, PersonWindow, sample_window
+from app.vision.judgement import JudgedReading
+from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
 from tests.app.painted import BLANK_PASS, Believing
@@ -59,26 +61,38 @@ class ColourReader:
 
     def __init__(self) -> None:
         self.passes = 0
+        self.looks = 0
+        """How often MoveNet should have looked at somebody followed."""
 
-    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
-        reading = self.read(frame, window)
+    def follow(
+        self,
+        frame: NDArray[np.uint8],
+        camera: PinholeCamera,
+        found: Detection,
+        window: PersonWindow,
+        least_trust: float,
+        seen: object = "look",
+    ) -> JudgedReading | None:
+        self.looks += seen == "look"
+        reading = self._in_window(frame, window)
         return reading if reading.presence > 0.5 and reading.drift < 0.35 else None
 
-    def with_mask(self, reading: PoseReading) -> PoseReading:
+    def with_mask(self, reading: JudgedReading) -> JudgedReading:
         return reading
 
     def read(
         self,
         frame: NDArray[np.uint8],
-        where: Box | PersonWindow,
-        keypoints: object = None,
-        windows: object = (),
-        expected: PersonWindow | PoseReading | None = None,
-    ) -> PoseReading:
-        if isinstance(expected, PoseReading):
+        camera: PinholeCamera,
+        found: Detection,
+        expected: PersonWindow | JudgedReading | None = None,
+    ) -> JudgedReading:
+        if isinstance(expected, JudgedReading):
             return expected
+        return self._in_window(frame, PersonWindow.about_box(found.box))
+
+    def _in_window(self, frame: NDArray[np.uint8], window: PersonWindow) -> JudgedReading:
         self.passes += 1
-        window = where if isinstance(where, PersonWindow) else PersonWindow.about_box(where)
         picture = sample_window(frame, window, LANDMARK_PX).astype(int)
         middle = picture[
             LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9, LANDMARK_PX // 2 - 9 : LANDMARK_PX // 2 + 9
@@ -93,7 +107,7 @@ class ColourReader:
         places = np.array([left, top]) + shares * [max(width, 1), max(height, 1)]
         places = places @ to_frame[:, :2].T + to_frame[:, 2]
         corner = to_frame[:, :2] @ np.array([left + width / 2, top + height / 2]) + to_frame[:, 2]
-        return PoseReading(
+        reading = PoseReading(
             window,
             Landmarks(places, np.full(33, 0.9), np.column_stack([shares - 0.5, shares[:, 0]])),
             1.0 if seen else 0.0,
@@ -101,6 +115,7 @@ class ColourReader:
             BLANK_PASS,
             mask.astype(np.float32),
         )
+        return Believing().judge(reading)
 
 
 def draw(

@@ -1,17 +1,16 @@
 """Readings of painted bodies, and a reader that knows them, for tests without networks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.vision.blazepose import LANDMARK_PX, MAP_SHAPES, NetworkPass, PoseReading
 from app.vision.depth import Body3D
 from app.vision.geometry import Box, PersonWindow, transform_points
-from app.vision.judgement import FRAME_POSTURES, FramePosture, Judgement, Trust
+from app.vision.judgement import FRAME_POSTURES, FramePosture, JudgedReading, Trust
 from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
@@ -35,14 +34,17 @@ class Believing:
 
     depth = SimpleNamespace(covariance=lambda sigmas: np.diag(2 * sigmas**2))
 
-    def judge(self, reading: PoseReading, camera: PinholeCamera) -> Judgement:
+    def judge(self, reading: PoseReading, camera: PinholeCamera | None = None) -> JudgedReading:
         body = Body3D(reading.landmarks.metres, np.full(33, 0.1), np.array([0.0, 0.0, 5.0]))
         posture = 0.9 * np.array([name == "standing" for name in FRAME_POSTURES]) + 0.1 / 6
         trust = Trust(reading.presence, reading.presence)
-        return Judgement(body, trust, FramePosture(posture))
+        given = {field.name: getattr(reading, field.name) for field in fields(PoseReading)}
+        return JudgedReading(**given, body=body, trust=trust, posture=FramePosture(posture))
 
 
-def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 0.0) -> PoseReading:
+def painted(
+    box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 0.0
+) -> JudgedReading:
     """A reading of an ellipse in a box, surest in its middle; the bones are its axis.
 
     The two sides may be apart by a share of the box's width.
@@ -64,7 +66,8 @@ def painted(box: Box, peak: float = 0.95, roll_deg: float = 0.0, width: float = 
     across = middle[0] + sides * width / 2 * box.width
     positions = np.stack([across, box.y + np.array(shares) * box.height], axis=1)
     landmarks = Landmarks(positions, np.ones(33), np.zeros((33, 3)))
-    return PoseReading(window, landmarks, 1.0, window, BLANK_PASS, probability.astype(np.float32))
+    mask = probability.astype(np.float32)
+    return Believing().judge(PoseReading(window, landmarks, 1.0, window, BLANK_PASS, mask))
 
 
 def keypoints_on(reading: PoseReading, x: float = 0.0, y: float = 0.0) -> ObservedKeypoints:
@@ -77,24 +80,26 @@ def keypoints_on(reading: PoseReading, x: float = 0.0, y: float = 0.0) -> Observ
 class KnownReader:
     """Reads the bodies of the windows and boxes it was told, and those beside others."""
 
-    shown: dict[Box | PersonWindow, PoseReading | None]
-    hidden: dict[Box, PoseReading] = field(default_factory=dict)
+    shown: dict[Box | PersonWindow, JudgedReading | None]
+    hidden: dict[Box, JudgedReading] = field(default_factory=dict)
     others: list[int] = field(default_factory=list)
     """Number of bodies that were painted over each time."""
 
-    def read(self, frame: NDArray[np.uint8], box: Box, *_: Any) -> PoseReading | None:
-        return self.shown[box]
+    def read(self, _: Any, camera: Any, found: Detection, *__: Any) -> JudgedReading | None:
+        return self.shown[found.box]
 
-    def follow(self, frame: NDArray[np.uint8], window: PersonWindow) -> PoseReading | None:
+    def follow(
+        self, _: Any, camera: Any, found: Detection, window: PersonWindow, *__: Any
+    ) -> JudgedReading | None:
         return self.shown[window]
 
     def read_beside(
-        self, frame: NDArray[np.uint8], box: Box, keypoints: Any, others: Sequence[PoseReading]
-    ) -> PoseReading | None:
+        self, _: Any, camera: Any, found: Detection, others: Sequence[PoseReading]
+    ) -> JudgedReading | None:
         self.others.append(len(others))
-        return self.hidden.get(box)
+        return self.hidden.get(found.box)
 
-    def with_mask(self, reading: PoseReading) -> PoseReading:
+    def with_mask(self, reading: JudgedReading) -> JudgedReading:
         return reading
 
 
@@ -103,6 +108,6 @@ def detected(reading: PoseReading, box: Box, score: float = 0.9, **moved: float)
     return Detection(box, score, keypoints_on(reading, **moved))
 
 
-def unseen(reading: PoseReading, presence: float = 0.1) -> PoseReading:
+def unseen(reading: PoseReading, presence: float = 0.1) -> JudgedReading:
     """The same reading of a window in which the network hardly sees anybody."""
-    return replace(reading, presence=presence)
+    return Believing().judge(replace(reading, presence=presence))

@@ -11,6 +11,7 @@ from app.vision.detector import NetworkDetector
 from app.vision.detectors.blazepose import BlazePoseDetector
 from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box, PersonWindow
+from app.vision.judgement import load_photograph_models
 from app.vision.movenet import KeypointReader, MoveNet
 from app.vision.person_reader import PersonReader
 from app.vision.rescoring import ObjectNetwork
@@ -84,4 +85,4 @@ def detector(
 def person_reader(
     landmark_network: LandmarkNetwork, mask_network: MaskNetwork, reader: KeypointReader
 ) -> PersonReader:
-    return PersonReader(landmark_network, mask_network, reader)
+    return PersonReader(landmark_network, mask_network, reader, load_photograph_models())

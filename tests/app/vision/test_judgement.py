@@ -24,7 +24,7 @@ from app.vision.judgement import (
 from app.vision.movenet import KeypointReader
 from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
-from app.vision.people import LANDMARK_NAMES
+from app.vision.people import LANDMARK_NAMES, Detection
 from app.vision.person_reader import PersonReader
 from index.skeleton import other_side
 from tests.support.projection import project
@@ -111,12 +111,12 @@ def test_the_posture_of_legs_beyond_the_border_is_no_other_than_standing(
     walkers: list[Box],
     share: float,
 ) -> None:
-    people = PersonReader(landmark_network, mask_network, reader)
+    people = PersonReader(landmark_network, mask_network, reader, models)
     for box in walkers:
         height = round(share * box.height)
         frame = np.ascontiguousarray(street[: round(box.y) + height])
-        reading = people.read(frame, Box(box.x, box.y, box.width, height))
-        judged = models.judge(reading, PinholeCamera.of_frame(frame.shape))
+        found = Detection(Box(box.x, box.y, box.width, height), 1.0)
+        judged = people.read(frame, PinholeCamera.of_frame(frame.shape), found)
         others = np.delete(judged.posture.probabilities, FRAME_POSTURES.index("standing"))
         assert others.max() < 0.5
 

@@ -8,6 +8,7 @@ import pytest
 
 from app.vision.detector import NetworkDetector
 from app.vision.geometry import Box, PersonWindow
+from app.vision.optics import PinholeCamera
 from app.vision.person_reader import PersonReader
 from app.vision.silhouettes import silhouettes_of
 
@@ -37,7 +38,8 @@ def test_thin_frames_take_no_more_memory(
         if what == "keypoints":
             return person_reader.keypoint_reader.read(frame, box)
         if what == "silhouette":
-            reading = person_reader.network.read(frame, PersonWindow.about_box(box))
+            camera = PinholeCamera.of_frame(frame.shape)
+            reading = person_reader.judged(frame, camera, PersonWindow.about_box(box))
             masked = person_reader.with_mask(reading)
             return silhouettes_of([masked], [box], frame.shape, exact=True)
         return detector.detect(frame)

@@ -12,16 +12,21 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import WINDOW_SCALE, Box, PersonWindow
+from app.vision.judgement import JudgedReading
+from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
     LANDMARK_NAMES,
+    Detection,
     ObservedKeypoints,
     coco_rows,
 )
 from app.vision.person_reader import (
     AGREEMENT_DISTANCE,
     PersonReader,
+    agreement,
+    beside_landmarks,
     fuse,
     trunk_roll_deg,
     window_beyond_border,
@@ -29,21 +34,26 @@ from app.vision.person_reader import (
 )
 from app.vision.truncation import attenuate_visibility_at_border
 from index.skeleton import other_side
-from tests.app.painted import keypoints_on, painted
+from tests.app.painted import Believing, keypoints_on, painted
+
+
+def read(
+    reader: PersonReader,
+    frame: NDArray[np.uint8],
+    box: Box,
+    *windows: PersonWindow,
+    keypoints: ObservedKeypoints | None = None,
+    expected: PersonWindow | JudgedReading | None = None,
+) -> JudgedReading:
+    found = Detection(box, 1.0, keypoints, windows)
+    return reader.read(frame, PinholeCamera.of_frame(frame.shape), found, expected)
 
 
 @pytest.fixture(scope="module")
 def readings(
     person_reader: PersonReader, street: NDArray[np.uint8], walkers: list[Box]
-) -> list[PoseReading]:
-    return [person_reader.read(street, box) for box in walkers]
-
-
-def moved(reading: PoseReading, x: float, y: float) -> PoseReading:
-    landmarks = reading.landmarks
-    return replace(
-        reading, landmarks=replace(landmarks, positions=landmarks.positions + np.array([x, y]))
-    )
+) -> list[JudgedReading]:
+    return [read(person_reader, street, box) for box in walkers]
 
 
 def test_right_one_of_several_windows_is_chosen(
@@ -51,10 +61,10 @@ def test_right_one_of_several_windows_is_chosen(
 ) -> None:
     """Not that of asphalt, of a neighbour, or of the person upside down."""
     height = walkers[2].height
-    expected = person_reader.read(street, walkers[2])
+    expected = read(person_reader, street, walkers[2])
+    assert expected.trust.is_right
     for wrong in ((Box(100, 200, 30, 80),), (walkers[0],), (walkers[2], 180.0)):
-        window = PersonWindow.about_box(*wrong)
-        found = person_reader.read(street, walkers[2], None, [window])
+        found = read(person_reader, street, walkers[2], PersonWindow.about_box(*wrong))
         apart = found.landmarks.positions - expected.landmarks.positions
         assert np.linalg.norm(apart, axis=1).mean() < 0.05 * height
 
@@ -63,25 +73,64 @@ def test_good_reading_in_the_window_of_a_track_suffices(
     person_reader: PersonReader,
     street: NDArray[np.uint8],
     walkers: list[Box],
-    readings: list[PoseReading],
+    readings: list[JudgedReading],
 ) -> None:
     box, reading, neighbour = walkers[2], readings[2], readings[0]
-    keypoints = reading.keypoints
-    assert person_reader.read(street, box, keypoints, expected=reading) is reading
-    found = person_reader.read(street, box, keypoints, expected=neighbour)
+    again = read(person_reader, street, box, keypoints=reading.keypoints, expected=reading.window)
+    assert again.window == reading.window
+    assert_allclose(again.landmarks.positions, reading.landmarks.positions)
+    found = read(person_reader, street, box, keypoints=reading.keypoints, expected=neighbour)
     assert_allclose(found.landmarks.positions, reading.landmarks.positions)
 
 
 def test_a_person_is_followed_as_long_as_the_window_shows_them(
-    person_reader: PersonReader, street: NDArray[np.uint8], readings: list[PoseReading]
+    person_reader: PersonReader, street: NDArray[np.uint8], readings: list[JudgedReading]
 ) -> None:
+    camera = PinholeCamera.of_frame(street.shape)
     for reading in readings:
-        followed = person_reader.follow(street, reading.next_window)
-        assert followed is not None
-        apart = followed.landmarks.positions - reading.landmarks.positions
-        assert np.linalg.norm(apart, axis=1).mean() < 0.1 * reading.body_px
+        known = Detection(reading.landmarks.box(), 1.0)
+        window = reading.next_window
+        followed = person_reader.follow(street, camera, known, window, 0.0)
+        assert followed is not None and followed.keypoints is not None
+        later = person_reader.follow(street, camera, known, window, 0.0, beside_landmarks(followed))
+        blind = person_reader.follow(street, camera, known, window, 0.0, None)
+        assert later is not None and blind is not None and blind.keypoints is None
+        # Keypoints move along with their landmarks.
+        assert_allclose(later.landmarks.positions, followed.landmarks.positions)
+        for one in (followed, blind):
+            apart = one.landmarks.positions - reading.landmarks.positions
+            assert np.linalg.norm(apart, axis=1).mean() < 0.1 * reading.body_px
     empty = np.full_like(street, 127)
-    assert person_reader.follow(empty, readings[0].next_window) is None
+    assert person_reader.follow(empty, camera, known, window, 0.5, None) is None
+
+
+def test_where_a_window_is_upside_down_others_are_read_if_they_may(
+    person_reader: PersonReader,
+    street: NDArray[np.uint8],
+    walkers: list[Box],
+    readings: list[JudgedReading],
+) -> None:
+    camera, found = PinholeCamera.of_frame(street.shape), Detection(walkers[2], 1.0)
+    window = PersonWindow.about_box(walkers[2], 180.0)
+    alone = person_reader.judged(street, camera, window)
+    assert not alone.trust.is_right
+    seen = person_reader.follow(street, camera, found, window, 0.5, None)
+    assert seen is not None and seen.trust.is_right
+    apart = seen.landmarks.positions - readings[2].landmarks.positions
+    assert np.linalg.norm(apart, axis=1).mean() < 0.05 * walkers[2].height
+    kept = person_reader.follow(street, camera, found, window, 0.0, None)
+    assert kept is None or kept.window == alone.window
+
+
+def test_agreement_is_the_share_of_keypoints_on_their_landmarks(
+    readings: list[JudgedReading],
+) -> None:
+    reading = readings[2]
+    keypoints = keypoints_on(reading)
+    assert agreement(reading, keypoints) == pytest.approx(1)
+    assert agreement(reading, None) == 0.5
+    keypoints.positions[coco_rows("knee", "ankle")] += 2 * AGREEMENT_DISTANCE * reading.body_px
+    assert agreement(reading, keypoints) == pytest.approx(9 / 13)
 
 
 @given(
@@ -89,7 +138,7 @@ def test_a_person_is_followed_as_long_as_the_window_shows_them(
     score=st.floats(0, 1), row=st.integers(0, 16),
 )  # fmt: skip
 def test_fusing_moves_landmarks_towards_agreeing_keypoints_only(
-    readings: list[PoseReading], seed: int, x: float, y: float, score: float, row: int
+    readings: list[JudgedReading], seed: int, x: float, y: float, score: float, row: int
 ) -> None:
     reading = readings[seed % len(readings)]
     before = reading.landmarks
@@ -137,10 +186,10 @@ def test_cut_off_person_is_read_as_part_of_a_whole_body(
 ) -> None:
     """Without head and shoulders in the frame, the legs stay in place."""
     walker = walkers[1]
-    whole = person_reader.read(street, walker).landmarks
+    whole = read(person_reader, street, walker).landmarks
     top = round(walker.y + 0.35 * walker.height)
     box = Box(walker.x, -0.5, walker.width, walker.bottom - top)
-    reading = person_reader.read(street[top:].copy(), box)
+    reading = read(person_reader, street[top:].copy(), box)
     landmarks = attenuate_visibility_at_border(reading, street[top:].shape)
     legs = [i for i, name in enumerate(LANDMARK_NAMES) if name.endswith(("knee", "ankle"))]
     apart = landmarks.positions[legs] + [0, top] - whole.positions[legs]
@@ -166,7 +215,7 @@ def test_window_reaches_beyond_the_border_to_the_unseen_end(unseen: str, radius:
 
 
 def test_bodies_of_others_are_grey_about_a_person(
-    readings: list[PoseReading], street: NDArray[np.uint8], walkers: list[Box]
+    readings: list[JudgedReading], street: NDArray[np.uint8], walkers: list[Box]
 ) -> None:
     own, other = readings[1].keypoints, readings[2].keypoints
     assert own is not None and other is not None
@@ -199,18 +248,17 @@ class Sees:
         return self.readings.get(where, self.other)
 
 
-@pytest.mark.parametrize(("size", "is_noticed"), [(500, True), (300, False)])
-def test_exchanged_sides_of_a_large_person_are_noticed_and_read_again(
-    size: int, is_noticed: bool
-) -> None:
-    """Of people who are not large, MoveNet does not look at every frame."""
-    right = painted(Box(20, 20, size / 2, size), width=0.5)
+def test_exchanged_sides_are_noticed_when_movenet_looks_and_read_again() -> None:
+    right = painted(Box(20, 20, 250, 500), width=0.5)
     swap = [LANDMARK_NAMES.index(other_side(name)) for name in LANDMARK_NAMES]
     marks = right.landmarks
     exchanged = replace(right, landmarks=replace(marks, positions=marks.positions[swap]))
     networks: Any = Sees({right.window: exchanged}, right, keypoints_on(right))
-    reader = PersonReader(networks, networks, networks)
-    found = reader.follow(np.zeros((9, 9, 3), np.uint8), right.window)
-    assert found is not None
-    expected = right if is_noticed else exchanged
-    assert_allclose(found.landmarks.positions, expected.landmarks.positions)
+    reader = PersonReader(networks, networks, networks, Believing())  # type: ignore[arg-type]
+    frame = np.zeros((9, 9, 3), np.uint8)
+    camera, known = PinholeCamera.of_frame(frame.shape), Detection(Box(20, 20, 250, 500), 1.0)
+    seen: Any = None, "look"
+    for one, expected in zip(seen, (exchanged, right), strict=True):
+        found = reader.follow(frame, camera, known, right.window, 0.0, one)
+        assert found is not None
+        assert_allclose(found.landmarks.positions, expected.landmarks.positions)

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from app.vision.masks import LabelImage
-from app.vision.people import Silhouette
+from app.vision.optics import PinholeCamera
+from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.same_person import first_of_body
 from app.vision.silhouettes import (
@@ -151,7 +152,9 @@ ODD_BOXES = [Box(-30, -20, 50, 60), Box(5, 5, 1, 1), Box(200, 200, 10, 10), Box(
 def own(
     reader: PersonReader, frame: NDArray[np.uint8], boxes: list[Box]
 ) -> list[Silhouette | None]:
-    readings = [reader.with_mask(reader.read(frame, box)) for box in boxes]
+    camera = PinholeCamera.of_frame(frame.shape)
+    found = [reader.read(frame, camera, Detection(box, 1.0)) for box in boxes]
+    readings = [reader.with_mask(one) for one in found]
     return silhouettes_of(readings, boxes, frame.shape, exact=True)
 
 
