@@ -1,5 +1,7 @@
 """Landmarks compared with skeletons, and skeletons fitted to them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -174,6 +176,16 @@ def test_fit_follows_a_wrist_and_leaves_the_rest(toy_index: PoseIndex) -> None:
     assert np.linalg.norm(fitted_placed[1, others] - placed[1, others], axis=-1).max() < 2
     right_leg = rows("right_hip", "right_knee", "right_ankle", "right_toe")
     assert_allclose(fitted[1, right_leg], points_3d[1, right_leg], atol=1e-3)
+
+
+def test_fit_recognises_exchanged_sides(toy_index: PoseIndex) -> None:
+    """Landmarks that take left for right pull the other side's points, not across the body."""
+    points_3d, placed = (second(points) for points in toy_index.points(np.array([100])))
+    mistaken = landmarks_of(exchange_sides(placed[1]), exchange_sides(points_3d[1]))
+    assert mistaken.compare(placed, points_3d).side_log_odds[1] < 0
+    mistaken = replace(mistaken, limb_scores=np.zeros(len(LIMBS)))
+    fitted, _ = fit_to_landmarks(mistaken, points_3d, placed)
+    assert_allclose(fitted[1], points_3d[1], atol=1e-9)
 
 
 @pytest.mark.parametrize("number", [3, 300])

@@ -249,6 +249,19 @@ def test_the_rank_contradicts_neither_confidence_nor_weight(
         assert [one.confidence for one in fewer] == [one.confidence for one in found[:7]]
 
 
+@pytest.mark.parametrize("number", [40, 301])
+def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
+    toy_index: PoseIndex, number: int
+) -> None:
+    points_3d, points = points_of(toy_index, number, mirrored=True)
+    silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
+    landmarks = landmarks_of(points, points_3d)
+    best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
+    assert joint_error(best.points_normalised, points) < 1
+    assert joint_error(best.points_3d, points_3d) < 0.01
+    assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
+
+
 def test_landmarks_decide_between_left_and_right(
     toy_index: PoseIndex, new_views: list[View]
 ) -> None:

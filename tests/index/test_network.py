@@ -105,6 +105,12 @@ class TestPosteriorMeans:
         assert_allclose(means, expected, atol=2e-3)
 
 
+def test_input_is_the_majority_of_four_pixels(toy_index: PoseIndex) -> None:
+    silhouette = toy_index.silhouette(3)
+    doubled = np.repeat(np.repeat(silhouette[::2, ::2], 2, axis=0), 2, axis=1)
+    assert_array_equal(network_input(doubled[None])[0, ..., 0], silhouette[::2, ::2])
+
+
 def test_predicted_positions_are_likeliest() -> None:
     seen = certain(10, 40, 16)
     (there,) = seen.log_likelihood(joints(10, 40, 16))

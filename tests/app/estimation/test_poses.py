@@ -14,6 +14,7 @@ from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.skeleton import (
     LIMBS,
+    OTHER_SIDE,
     POINT_NAMES,
     mirror_3d,
     rotate_clockwise,
@@ -241,6 +242,35 @@ def test_joints_are_seen_where_the_landmarks_are_as_far_as_these_are_visible() -
         )
         off = result.points_2d[0, limbs] - pixels[limbs]
         assert_allclose(off, np.tile((1 - visibility) * np.array([6.0, -4.0]), (len(limbs), 1)))
+
+
+def test_a_hypothesis_that_faces_the_other_way_meets_the_landmarks_of_its_other_side() -> None:
+    placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
+    own, _ = about_line_of_sight(placed)
+    exchanged = pixels[OTHER_SIDE] + 0.1
+    result = place_skeletons(
+        np.array([own, own[OTHER_SIDE] * [1.0, 1.0, -1.0]]),
+        np.array([pixels, exchanged]),
+        landmarks_of(placed),
+        CAMERA,
+    )
+    limbs = rows(*LIMBS)
+    assert_allclose(result.points_2d[1, limbs], exchanged[limbs], atol=0.2)
+
+
+def test_alternatives_to_the_first_in_depth_keep_their_distance_from_it() -> None:
+    placed, pixels = projected(skeleton(1), np.array([0.5, 0.0, 4.0]))
+    own, line = about_line_of_sight(placed)
+    wrist = side_rows("wrist")[0]
+    nearer = own.copy()
+    nearer[wrist, 2] -= 0.2
+    result = place_skeletons(
+        np.array([own, nearer]), np.array([pixels, pixels]), landmarks_of(placed), CAMERA
+    )
+    away = ((result.points_3d[1] - result.points_3d[0]) @ line.T)[:, 2]
+    assert away[wrist] == pytest.approx(-0.2, abs=0.03)
+    assert_allclose(np.delete(away, wrist), 0, atol=0.01)
+    assert_allclose(result.points_2d[1], result.points_2d[0])
 
 
 def test_joints_project_to_their_pixels() -> None:

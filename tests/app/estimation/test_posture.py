@@ -109,6 +109,14 @@ def test_the_posture_settles_on_a_new_one_within_a_second(fps: int) -> None:
     assert set(labels[2 * fps :]) == {"sitting"}
 
 
+def test_after_a_long_gap_the_newest_frame_counts_for_most() -> None:
+    postures = PostureFilter()
+    postures.update(0.0, votes("standing"), None, 1.0, NARROW)
+    posture, _ = postures.update(60.0, votes("lying"), None, 1.0, WIDE)
+    assert posture.label == "lying"
+    assert posture.share(["standing"]) == pytest.approx(np.exp(-1 / 0.4))
+
+
 @pytest.mark.parametrize(("box", "lies"), [(NARROW, False), (WIDE, True)])
 def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) -> None:
     frame_posture = FramePosture(np.full(len(FRAME_POSTURES), 1 / len(FRAME_POSTURES)))

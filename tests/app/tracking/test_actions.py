@@ -1,11 +1,14 @@
 """Actions of tracks: features of motion, the linear model, the sliding window."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture
 from app.tracking.actions import (
+    FULL_WEIGHT_PX,
     RATE_HZ,
     ActionModel,
     ActionRecogniser,
@@ -16,6 +19,7 @@ from app.tracking.actions import (
     window_features,
 )
 from app.tracking.results import RecognisedAction, SmoothedPose
+from app.vision.geometry import Box
 from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
 from tests.app.tracking.people import person_of, standing_body
@@ -99,6 +103,27 @@ def test_an_action_is_recognised_after_a_second(undecided: ActionModel) -> None:
     assert answers[-1] is not None and answers[-1].label == "walk"
     # All votes against the minimum for an action without any.
     assert answers[-1].probability == pytest.approx(1 / 1.02, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("height", "best"),
+    [(2 * FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX, "punch"), (FULL_WEIGHT_PX / 8, "stand")],
+)
+def test_limbs_of_small_people_count_little(
+    undecided: ActionModel, height: float, best: str
+) -> None:
+    """Posture decides instead, and how common an action is."""
+    size = undecided.weights.shape[1]
+    model = ActionModel(
+        ("punch", "stand", "walk"), np.zeros((3, size)), np.array([3.0, 0.0, 0.0]), 0.0
+    )
+    recogniser, result = ActionRecogniser(model), None
+    box = Box(0, 0, height / 2, height)
+    for step, pose in enumerate(swinging(2)):
+        one = person_of([pose], [0.8])
+        one = replace(one, box=box)
+        result = recogniser.update(sample(step / RATE_HZ, pose), one, one_hot("standing"))
+    assert result is not None and result.label == best
 
 
 def test_after_a_gap_the_window_starts_afresh(undecided: ActionModel) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from app.tracking.motion import (
+    MIN_TURNED_DEG,
     STILL,
     GroundMotion,
     GroundVelocity,
@@ -67,6 +68,7 @@ def test_a_path_goes_down_the_picture_towards_the_camera(
     np.testing.assert_allclose(path[1], [1.0, metres])
 
 
+BESIDE_DEG = 90 - MIN_TURNED_DEG
 TO_THE_LEFT = GroundVelocity(-1.2, 0.0, 1.2)
 
 
@@ -110,3 +112,17 @@ def test_people_go_where_they_face() -> None:
         )
     ahead, behind = heading.log_likelihood(np.array([90.0, -90.0]))
     assert ahead > behind + 1
+
+
+@pytest.mark.parametrize(
+    ("front", "azimuth_deg", "expected_deg"),
+    [
+        (True, 30.0, 30.0), (True, 100.0, BESIDE_DEG), (True, -100.0, -BESIDE_DEG),
+        (False, 150.0, 150.0), (False, 80.0, 180 - BESIDE_DEG), (False, -80.0, BESIDE_DEG - 180),
+    ],
+)  # fmt: skip
+def test_the_nearest_azimuth_of_a_side(
+    front: bool, azimuth_deg: float, expected_deg: float
+) -> None:
+    heading = Heading(np.full(36, 1 / 36), front)
+    assert heading.on_visible_side(azimuth_deg) == pytest.approx(expected_deg)

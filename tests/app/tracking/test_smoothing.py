@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Person
 from app.tracking.body import SeenBody
-from app.tracking.motion import Motion, MotionFilter
-from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
+from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
+from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
 from app.vision.people import Landmarks, Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
@@ -17,6 +17,7 @@ from index.skeleton import (
     POINT_NAMES,
     POINTS,
     bone_lengths,
+    mean_joint_distance,
     wrap_degrees,
 )
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
@@ -221,6 +222,20 @@ def test_the_sooner_a_pose_changes_the_more_evidence_it_needs(gap_s: float, foll
     assert (last.pose.entry == 0) == follows
 
 
+@pytest.mark.parametrize("elapsed_s", [0.025, 0.1, 0.4])
+def test_odds_of_a_move_fall_with_its_distance_and_rise_with_its_time(elapsed_s: float) -> None:
+    low, high = arms_raised(0.0), arms_raised(15.0)
+    follower = Follower()
+    follower.update(person_of([low], [0.5]), 0.0)
+    _, last = follower.update(
+        person_of([low, high], [0.5, 0.5], postures=["sitting", "kneeling"]), elapsed_s
+    )
+    stays, moves = (last.votes[POSTURES.index(name)] for name in ("sitting", "kneeling"))
+    cost_per_m = SMOOTHING.cost_per_m * 2 / (1 + elapsed_s * REFERENCE_HZ)
+    metres = mean_joint_distance(low[None], high[None])[0]
+    assert np.log(stays / moves) == pytest.approx(cost_per_m * metres, rel=1e-3)
+
+
 @pytest.mark.parametrize(("by_landmarks", "frames"), [(False, 12), (True, 4)])
 def test_a_pose_follows_from_the_last_frames_alone(by_landmarks: bool, frames: int) -> None:
     """Those of 0.35 s without landmarks, of 0.12 s with clear ones, at 32 frames a second."""
@@ -241,6 +256,13 @@ def test_a_pose_follows_from_the_last_frames_alone(by_landmarks: bool, frames: i
         turned = [*steady[:row], 20.0, *steady[row + 1 :]]
         matters = np.abs(pose_after(turned) - pose_after(steady)).max() > 1e-9
         assert matters == (row >= len(steady) - frames)
+
+
+def test_poses_far_from_the_likeliest_do_not_blend_with_it() -> None:
+    low, high = arms_raised(0.0), arms_raised(170.0)
+    _, last = follow([person_of([low, high], [0.6, 0.55])] * 5)[-1]
+    mixed = np.linalg.norm(last.pose.points_3d - low, axis=-1).mean()
+    assert mixed < 0.45 * np.linalg.norm(high - low, axis=-1).mean() * 0.55
 
 
 def test_a_steady_turn_is_followed_without_lag() -> None:

@@ -48,6 +48,15 @@ def test_walkers_are_found_at_any_size(
         assert max(walker.scaled(factor).iou(box) for box in found) > 0.5
 
 
+def test_people_smaller_than_wanted_are_not_searched_for(
+    street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
+) -> None:
+    large = [one.box for one in detected(street, 96)]
+    assert max(walkers[1].iou(box) for box in large) > 0.5
+    for small in far_walkers:
+        assert max(small.iou(box) for box in large) < 0.5
+
+
 def test_threads_of_opencv_change_nothing(street: NDArray[np.uint8]) -> None:
     threads = cv2.getNumThreads()
     answers = []
