@@ -32,7 +32,7 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 20, 4
+LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 40, 4
 LSP_FLOORS = {
     "upright": (95.0, 72.0, 67.5),
     "horizontal": (95.0, 69.6, 60.0),
@@ -41,8 +41,9 @@ LSP_FLOORS = {
 """Percent found, PCK of the keypoints and PCK of the first hypothesis: 100, 77.1 and 72.5 were
 measured of people upright, 100, 74.6 and 65.0 horizontal, 100, 72.5 and 56.3 inverted."""
 
-MOST_MM = (140.0, 116.1)
-"""Of the first hypothesis and of the best of seven: 130.0 and 106.1 were measured."""
+MOST_MM = {"cam01": (140.0, 116.1), "cam03": (122.8, 116.1)}
+"""Of the first hypothesis and of the best of seven: 130.0 and 106.1, 112.8 and 106.1 were
+measured."""
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +71,14 @@ def test_photographs_of_falls(real: Estimator, kind: str) -> None:
     found = fallen(real, evenly(sorted((REAL / "falls" / kind).glob("*.jpg")), FALLS_EACH))
     assert found["found"] >= 95
     if kind == "fall":
-        assert found["on_the_ground"] >= 45  # Measured: 55, of twice as many 80, of all 76.
+        assert found["on_the_ground"] >= 75  # Measured: 82; 76 of all photographs.
     else:
         assert found["on_the_ground"] <= 6  # Measured: 0; 4 of all photographs.
 
 
-def test_joints_in_three_dimensions(real: Estimator) -> None:
-    video, _, limbs_3d, joints_2d = read_pose2sim_joints(REAL / "pose2sim", "cam01")
+@pytest.mark.parametrize("camera", MOST_MM)
+def test_joints_in_three_dimensions(real: Estimator, camera: str) -> None:
+    video, _, limbs_3d, joints_2d = read_pose2sim_joints(REAL / "pose2sim", camera)
     frames = dict(read_frames(video))
     errors = []
     for number in evenly(range(len(limbs_3d)), FRAMES_EACH):
@@ -84,5 +86,5 @@ def test_joints_in_three_dimensions(real: Estimator) -> None:
         (person,) = estimate(real, encoded(frames[number]), box)
         errors.append([error_mm(one.points_3d, limbs_3d[number]) for one in person.hypotheses])
         assert not is_low(person)
-    assert np.mean([of_one[0] for of_one in errors]) <= MOST_MM[0]
-    assert np.mean([min(of_one) for of_one in errors]) <= MOST_MM[1]
+    assert np.mean([of_one[0] for of_one in errors]) <= MOST_MM[camera][0]
+    assert np.mean([min(of_one) for of_one in errors]) <= MOST_MM[camera][1]
