@@ -236,6 +236,39 @@ def test_steep_high_and_wide_cameras_say_nothing_rather_than_something_wrong(
     assert in_bed is None or in_bed < 0.2
 
 
+def misread(person: Person, size: float, distance: float, slope: float) -> Person:
+    """A person of a size whose body is read in the usual size, too near or far, and aslant."""
+    assert person.landmarks is not None
+    sine, cosine = np.sin(slope), np.cos(slope)
+    turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    metres = person.landmarks.metres @ turn.T * np.exp(distance) / size
+    return replace(person, landmarks=replace(person.landmarks, metres=metres))
+
+
+def test_what_is_told_is_mostly_right_though_bodies_are_misread() -> None:
+    told = []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        height_m, over = generator.uniform(1.5, 3.5), generator.choice([0.0, 0.6])
+        scene = Scene(height_m, np.rad2deg(np.arctan2(height_m - 0.8, generator.uniform(2, 6))))
+        for who in (1, 2):
+            size, slope = np.exp(generator.normal(0, 0.06)), generator.normal(0, 0.1)
+            for _ in range(5):
+                away = scene.middle_m * generator.uniform(0.8, 1.3)
+                one = scene.stands(generator.uniform(-0.8, 0.8), away, size)
+                seen = misread(one, size, generator.normal(0, 0.05), slope)
+                scene.floor.see(who, seen, scene.shape)
+        lying = scene.lies(0.2, scene.middle_m, over, generator.uniform(0, 6.3))
+        lying = misread(lying, 1.0, generator.normal(0, 0.07), generator.normal(0, 0.1))
+        rest = Rest()
+        for number in range(3):
+            rest.update(number / 5, lying, 2, scene.floor)
+        if rest.on_floor is not None:
+            told.append((rest.on_floor > 0.5) == (over == 0))
+    assert len(told) > 20
+    assert np.mean(told) >= 0.85
+
+
 def test_who_falls_out_of_bed_is_on_the_floor_soon() -> None:
     scene = watched(Scene(2.4, 25), 3)
     rest = rested(scene, 0.6, frames=50)
