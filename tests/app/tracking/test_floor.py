@@ -12,10 +12,12 @@ from app.estimation.results import Person
 from app.photograph import load_estimator
 from app.settings import Settings
 from app.tracking.floor import Floor, Height, Rest
+from app.tracking.results import Event
+from app.tracking.track import Track
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture, Trust
 from app.vision.optics import PinholeCamera, to_line_of_sight
-from app.vision.people import LANDMARK_NAMES, Landmarks, landmark_rows
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, landmark_rows
 from scripts.datasets import frames_at
 from scripts.helpers import track
 from tests.conftest import SHARED
@@ -285,6 +287,24 @@ def test_of_those_who_do_not_lie_nothing_is_said() -> None:
     rest = rested(scene, 0.0)
     rest.update(60.0, scene.stands(0, scene.middle_m), 1, scene.floor)
     assert rest.on_floor is None
+
+
+def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
+    scene, frame = Scene(1.5, 12, given=True), np.zeros((*SHAPE, 3), np.uint8)
+    silhouette = Silhouette(np.ones((40, 90), bool), 200, 200, "network", truncated=False)
+    people = [scene.stands(0.1 * step - 0.5, scene.middle_m) for step in range(10)]
+    people += [scene.lies(0.3, scene.middle_m, 0.0, 1.2)] * 10
+    track, said, events = Track(people[0], 0.0), list[float | None](), list[Event]()
+    track.confirm(1, 0.0, ())
+    for number, person in enumerate(people):
+        seen = replace(person, silhouette=silhouette, presence=1.0)
+        track.see(seen, number / 5)
+        tracked, new = track.update(seen, number / 5, frame=frame, floor=scene.floor)
+        said.append(tracked.on_floor)
+        events += new
+    assert set(said[:10]) == {None} and (said[-1] or 0) > 0.8
+    (lying,) = [one for one in events if one.event == "lying"]
+    assert (lying.on_floor or 0) > 0.8
 
 
 @pytest.mark.parametrize(
