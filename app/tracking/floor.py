@@ -51,7 +51,6 @@ _GIVEN_SD, _SIZE_SD = 0.03, 0.07
 # If so many new sightings lie so many standard deviations away, the camera was moved.
 _MOVED_AFTER, _MOVED_FROM = 6, 3.0
 
-
 # How high a body is read that is as likely on the floor as on a bed, metres; and the standard
 # deviation of the logarithm of its distance, as of rendered bodies that lie. Chosen on the real
 # films and on simulated rooms with beds of 0.3 to 0.7 m.
@@ -205,7 +204,7 @@ class Floor:
         mean, step = over_floor(state), 1e-4
         slopes = np.array([(over_floor(state + one) - mean) / step for one in step * np.eye(5)])
         of_body = _DISTANCE_SD * (np.exp(state[2]) - mean)
-        return Height(mean, math.hypot(of_body, math.sqrt(slopes @ covariance @ slopes)))
+        return Height(mean, math.sqrt(of_body**2 + max(0.0, slopes @ covariance @ slopes)))
 
 
 def _stands(person: Person, frame_shape: tuple[int, ...]) -> bool:

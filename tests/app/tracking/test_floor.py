@@ -12,10 +12,12 @@ from app.estimation.results import Person
 from app.photograph import load_estimator
 from app.settings import Settings
 from app.tracking.floor import Floor, Height, Rest
+from app.tracking.results import Event
+from app.tracking.track import Track
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture, Trust
 from app.vision.optics import PinholeCamera, to_line_of_sight
-from app.vision.people import LANDMARK_NAMES, Landmarks, landmark_rows
+from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, landmark_rows
 from scripts.datasets import frames_at
 from scripts.helpers import track
 from tests.conftest import SHARED
@@ -236,6 +238,39 @@ def test_steep_high_and_wide_cameras_say_nothing_rather_than_something_wrong(
     assert in_bed is None or in_bed < 0.2
 
 
+def misread(person: Person, size: float, distance: float, slope: float) -> Person:
+    """A person of a size whose body is read in the usual size, too near or far, and aslant."""
+    assert person.landmarks is not None
+    sine, cosine = np.sin(slope), np.cos(slope)
+    turn = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]])
+    metres = person.landmarks.metres @ turn.T * np.exp(distance) / size
+    return replace(person, landmarks=replace(person.landmarks, metres=metres))
+
+
+def test_what_is_told_is_mostly_right_though_bodies_are_misread() -> None:
+    told = []
+    for seed in range(40):
+        generator = np.random.default_rng(seed)
+        height_m, over = generator.uniform(1.5, 3.5), generator.choice([0.0, 0.6])
+        scene = Scene(height_m, np.rad2deg(np.arctan2(height_m - 0.8, generator.uniform(2, 6))))
+        for who in (1, 2):
+            size, slope = np.exp(generator.normal(0, 0.06)), generator.normal(0, 0.1)
+            for _ in range(5):
+                away = scene.middle_m * generator.uniform(0.8, 1.3)
+                one = scene.stands(generator.uniform(-0.8, 0.8), away, size)
+                seen = misread(one, size, generator.normal(0, 0.05), slope)
+                scene.floor.see(who, seen, scene.shape)
+        lying = scene.lies(0.2, scene.middle_m, over, generator.uniform(0, 6.3))
+        lying = misread(lying, 1.0, generator.normal(0, 0.07), generator.normal(0, 0.1))
+        rest = Rest()
+        for number in range(3):
+            rest.update(number / 5, lying, 2, scene.floor)
+        if rest.on_floor is not None:
+            told.append((rest.on_floor > 0.5) == (over == 0))
+    assert len(told) > 20
+    assert np.mean(told) >= 0.85
+
+
 def test_who_falls_out_of_bed_is_on_the_floor_soon() -> None:
     scene = watched(Scene(2.4, 25), 3)
     rest = rested(scene, 0.6, frames=50)
@@ -252,6 +287,24 @@ def test_of_those_who_do_not_lie_nothing_is_said() -> None:
     rest = rested(scene, 0.0)
     rest.update(60.0, scene.stands(0, scene.middle_m), 1, scene.floor)
     assert rest.on_floor is None
+
+
+def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
+    scene, frame = Scene(1.5, 12, given=True), np.zeros((*SHAPE, 3), np.uint8)
+    silhouette = Silhouette(np.ones((40, 90), bool), 200, 200, "network", truncated=False)
+    people = [scene.stands(0.1 * step - 0.5, scene.middle_m) for step in range(10)]
+    people += [scene.lies(0.3, scene.middle_m, 0.0, 1.2)] * 10
+    track, said, events = Track(people[0], 0.0), list[float | None](), list[Event]()
+    track.confirm(1, 0.0, ())
+    for number, person in enumerate(people):
+        seen = replace(person, silhouette=silhouette, presence=1.0)
+        track.see(seen, number / 5)
+        tracked, new = track.update(seen, number / 5, frame=frame, floor=scene.floor)
+        said.append(tracked.on_floor)
+        events += new
+    assert set(said[:10]) == {None} and (said[-1] or 0) > 0.8
+    (lying,) = [one for one in events if one.event == "lying"]
+    assert (lying.on_floor or 0) > 0.8
 
 
 @pytest.mark.parametrize(
