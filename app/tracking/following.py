@@ -89,7 +89,7 @@ class TrackedPeopleDetector:
         in_window : dict
             Maps the position of each person found in a track's window to that track.
         """
-        self._looked_at = {one: self._looked_at.get(one, timestamp) for one in tracks}
+        self._looked_at = {one: self._looked_at.get(one, one.seen_at) for one in tracks}
         found, beside, followed, unchanged = self._targets(upload, timestamp, tracks, job)
         targets = [*found, *(self._followed(*one, timestamp) for one in followed.items())]
         people, shown = self._finder.observe(

@@ -95,6 +95,25 @@ def test_a_person_who_does_not_move_is_not_read_in_every_frame(
     assert passes(8.0, walks(80), (1, 206)) == passes(8.1, walks(81), (1, 206)) == 2
 
 
+def test_movenet_looks_at_tracked_people_now_and_then(
+    session: CameraSession, drawn: Estimator
+) -> None:
+    """Every 0.4 s, in the whole frame or in their windows; in between, landmarks alone follow."""
+    reader = drawn.models.reader
+    detector = drawn.models.detector
+    assert isinstance(reader, ColourReader) and isinstance(detector, ColourDetector)
+    looks, searches = [], []
+    for step in range(41):
+        before = reader.looks, detector.searches
+        send(session, 0.101 * step, (0, 10 + 4 * step))
+        looks.append(reader.looks - before[0])
+        searches.append(detector.searches - before[1])
+    # Where the frame was searched, nobody has to be looked at besides.
+    once = [one + other for one, other in zip(looks, searches, strict=True)]
+    assert once == [int(step % 4 == 0) for step in range(41)]
+    assert sum(looks) >= 3 and sum(searches) >= 3
+
+
 def test_an_unchanged_person_is_estimated_anew_if_something_else_is_asked(
     session: CameraSession, drawn: Estimator
 ) -> None:
