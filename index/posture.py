@@ -6,7 +6,6 @@ in the order of the table in ``docs/index.md``; the first that holds decides. Th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
@@ -196,7 +195,9 @@ def classify_postures(
         ("walking", np.asarray(speed) >= MIN_WALKING_SPEED_M_S),
         ("standing", True),
     )
-    first = np.array([np.broadcast_to(holds, len(joints)) for _, holds in conditions]).argmax(axis=0)
+    first = np.array([np.broadcast_to(holds, len(joints)) for _, holds in conditions]).argmax(
+        axis=0
+    )
     return np.array([POSTURES.index(posture) for posture, _ in conditions])[first]
 
 
