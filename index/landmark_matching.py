@@ -85,7 +85,9 @@ def match_landmarks(
     front_probability = front_share(voters_deg, votes)
     first = _first_batch(voters, alternatives, front_probability)
     found = with_later_batches(query.batch, first, n)
-    hypotheses = ranked(found[: max(n, DEFAULT_HYPOTHESES)])
+    confidences = np.array([one.confidence for one in first[:DEFAULT_HYPOTHESES]])
+    weights = LANDMARK_CONFIDENCE.weights(confidences).tolist()
+    hypotheses = ranked(found[: max(n, DEFAULT_HYPOTHESES)], weights)
     return Match(hypotheses, front_probability, voters, votes_of(voters))
 
 
@@ -94,7 +96,7 @@ def _first_batch(
     alternatives: Sequence[PoseHypothesis],
     front_probability: float,
 ) -> list[PoseHypothesis]:
-    """The first seven hypotheses and their weights, then the others of the first batch.
+    """The first seven hypotheses, then the others of the first batch.
 
     The seven are the best mode, its alternatives in depth and modes that face the opposite way; if
     these are too few, modes of the same facing as well.
@@ -108,10 +110,7 @@ def _first_batch(
     rows = likeliest_of_both_facings(
         headings(leading), confidences, front_probability, DEFAULT_HYPOTHESES
     )
-    weights = LANDMARK_CONFIDENCE.weights(confidences[rows]).tolist()
-    chosen = [
-        replace(leading[row], weight=weight) for row, weight in zip(rows, weights, strict=True)
-    ]
+    chosen = [leading[row] for row in rows]
     left = [one for row, one in enumerate(leading) if row not in rows]
     left += others[max(0, DEFAULT_HYPOTHESES - len(leading)) :]
     return chosen + likeliest_first(left)
@@ -122,6 +121,9 @@ def _first_batch(
 _CANDIDATES, _KEPT = 500, 100
 # The same where the silhouette is not whole: entries of a sample, and how many are kept.
 _SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
+# Largest distance at which an entry has the silhouette of the query: a shipped entry's is stored at
+# half resolution, 0.4 to 1.5 from its vector; people's are 3 or more from the nearest.
+_SAME_DISTANCE = 2.0
 # Candidates that decide which action is the usual one, for each that is kept.
 _VOTES_PER_KEPT = 3
 
@@ -145,22 +147,17 @@ class _LandmarkQuery(Query):
         """Find the first hypotheses, and the best one at other depths; both likeliest first."""
         candidates, agreement, modes, typical = self._modes(DEFAULT_HYPOTHESES)
         modes, columns = self._fitted(candidates, modes, typical)
-        # Of the hypotheses, one is the mode as found, and one faces the opposite way.
-        depths = depth_modes(candidates, self.landmarks, agreement, DEFAULT_HYPOTHESES - 2)
+        depths = depth_modes(candidates, self.landmarks, agreement)
         first = modes.take(np.zeros(len(depths.nearer), np.int64))
-        others = replace(
-            first, votes=depths.nearer, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets)
-        )
+        others = replace(first, points_3d=moved_in_depth(modes.points_3d[0], depths.offsets))
         features = columns["features"][:1].repeat(len(others), axis=0)
         features[:, -1] = depths.nearer
-        alternatives = self.hypotheses(
-            candidates,
-            others,
-            distance=columns["distance"][0] * np.exp(depths.misfits / DISTANCE_WEIGHT),
-            in_depth=np.ones(len(others), bool),
-            **_by_features(features),
-        )
-        return self.hypotheses(candidates, modes, **columns), likeliest_first(alternatives)
+        distances = columns["distance"][0] * np.exp(depths.misfits / DISTANCE_WEIGHT)
+        alternative = {"distance": distances, **_by_features(features)}
+        columns = {name: np.concatenate([one, alternative[name]]) for name, one in columns.items()}
+        in_depth = np.arange(len(modes) + len(others)) >= len(modes)
+        both = self.hypotheses(candidates, modes.append(others), in_depth=in_depth, **columns)
+        return both[: len(modes)], likeliest_first(both[len(modes) :])
 
     def _fitted(
         self, candidates: Candidates, modes: Modes, typical: NDArray[np.bool_]
@@ -169,8 +166,8 @@ class _LandmarkQuery(Query):
 
         The nearest is chosen before the fit: a pose that must change far to fit is less likely. It
         follows the landmarks, and no other is said to be likelier. Their centres become the entries
-        that look most like them: of the typical candidates ``(K,)`` that face as they do, the one
-        with the nearest silhouette.
+        that look most like them: of the candidates ``(K,)`` that face as they do, one with the same
+        silhouette, or else the typical one with the nearest.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
         entries = candidates.take(modes.centres)
@@ -191,7 +188,8 @@ class _LandmarkQuery(Query):
             faces_camera(azimuth_deg(one)) for one in (candidates.points_3d, points_3d)
         )
         # The first is the nearest.
-        like = ((facing == front[:, None]) + 2 * typical).argmax(axis=1)
+        same = candidates.distances <= _SAME_DISTANCE
+        like = ((facing == front[:, None]) * (1 + 4 * same) + 2 * typical).argmax(axis=1)
         modes = replace(modes, centres=like, points_3d=points_3d, points_normalised=placed)
         order = np.argsort(-columns["confidence"], kind="stable")
         return modes.take(order), {name: one[order] for name, one in columns.items()}
@@ -215,9 +213,7 @@ class _LandmarkQuery(Query):
                 found = _placed_by_landmarks(found, self.landmarks)
                 kept = self._likeliest(found, np.ones(len(found)), growth * _KEPT_OF_SAMPLE)
             candidates, agreement, weights, typical = kept
-            modes = find_modes(
-                candidates, weights, n + SPARE_MODES, residuals=[agreement.residuals]
-            )
+            modes = find_modes(candidates, weights, n + SPARE_MODES, agreement.residuals)
             exhausted, known = len(found) <= known, len(found)
             if len(modes) >= n or exhausted or growth >= MAX_CANDIDATE_GROWTH:
                 return candidates, agreement, modes, typical
@@ -246,7 +242,6 @@ def _by_features(features: NDArray[np.float64]) -> dict[str, NDArray[np.float64]
         "features": features,
         "confidence": LANDMARK_CONFIDENCE.probability(features),
         "reprojection_error_px": features[:, 0],
-        "weight": np.zeros(len(features)),
     }
 
 

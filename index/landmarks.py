@@ -1,8 +1,7 @@
 """Landmarks of a person: agreement of skeletons with them, and the fit of skeletons to them.
 
 The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
-restores the bone lengths. In the picture it goes from coarse to fine, so that it also reaches limbs
-far from their landmarks. Points without a landmark keep their position relative to their parents.
+restores the bone lengths. Points without a landmark keep their position relative to their parents.
 
 In depth, landmarks and poses may disagree. The first skeleton moves most of the way to the
 landmarks; the others move only where they nearly agree, so that they remain alternatives.
@@ -12,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +89,7 @@ class NormalisedLandmarks:
         """
         points = np.asarray(points_normalised, np.float64)
         # Each skeleton beside its twin: (K, 2, P, 2).
-        offsets = self.positions - points.take(_with_other_side(self.rows), axis=1)
+        offsets = self.positions - points.take(self._both_sides, axis=1)
         mass = self._mass(offsets)
         likelihood = _log_likelihoods(mass)
         limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
@@ -103,6 +103,10 @@ class NormalisedLandmarks:
             likelihood[:, 0] - likelihood[:, 1],
             _inlier_share(mass[each, likelier])[..., None] * offsets[each, likelier],
         )
+
+    @cached_property
+    def _both_sides(self) -> NDArray[np.int64]:
+        return _with_other_side(self.rows)
 
     def reprojection_errors(self, points_normalised: NDArray[np.floating]) -> NDArray[np.float64]:
         """Mean distances ``(K,)`` of skeletons ``(K, 24, 2)`` from the landmarks, in pixels."""
@@ -190,9 +194,9 @@ def fused_distances(
     return distances * np.exp(-likelihood / DISTANCE_WEIGHT)
 
 
-# Stages of the fit: standard deviation in pixels, share of the way that a point moves in an
-# iteration, and iterations. Chosen on the street people of even-numbered photographs.
-_FIT_STAGES = ((14.0, 0.7, 4), (7.0, 0.7, 10))
+# The fit: standard deviation of a point about its landmark in pixels, share of the way that a point
+# moves in an iteration, and iterations. Coarse to fine, in 14 iterations, it came no nearer.
+_FIT_SIGMA_PX, _FIT_SHARE, _FIT_ITERATIONS = 10.0, 0.8, 6
 # Total share of the way to the landmarks' depths by which the fit moves joints.
 _DEPTH_SHARE = 0.6
 
@@ -219,23 +223,23 @@ def fit_to_landmarks(
     points_3d, points_normalised
         Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
-    lengths = bone_lengths(points_3d)
-    px_per_metre = pixels_per_metre(points_3d, points_normalised)[:, None, None]
-    fitted = with_bone_lengths(_moved_in_depth(landmarks, points_3d), lengths)
-    placed = points_normalised + (fitted - points_3d)[..., :2] * px_per_metre
-    for sigma_px, share, iterations in _FIT_STAGES:
-        blurred = replace(landmarks, sigma_px=sigma_px)
-        rows = _match_sides(blurred, blurred.compare(placed, fitted).side_log_odds < 0)
-        for _ in range(iterations):
-            moves = share * _residuals(blurred, placed, rows)
-            moved = fitted.copy()
-            moved[..., :2] += moves / px_per_metre
-            moved = with_bone_lengths(moved, lengths)
-            # The pelvis has no landmark and follows the hips.
-            placed = placed + moves.take(_HIP_POINTS, axis=1).sum(axis=1, keepdims=True) / 2
-            placed += (moved - fitted)[..., :2] * px_per_metre
-            fitted = moved
-    return fitted, placed
+    moved = _moved_in_depth(landmarks, points_3d)
+    blurred = replace(landmarks, sigma_px=_FIT_SIGMA_PX)
+    # In pixels, a move in the picture is one in space.
+    scale = pixels_per_metre(points_3d, points_normalised)[:, None, None]
+    lengths = bone_lengths(points_3d) * scale[..., 0]
+    fitted = with_bone_lengths(scale * moved, lengths)
+    about = points_normalised - scale * points_3d[..., :2]  # What perspective and place add.
+    sides = blurred.compare(about + fitted[..., :2], fitted / scale).side_log_odds
+    rows = _match_sides(landmarks, sides < 0) + POINTS * np.arange(len(fitted))[:, None]
+    for _ in range(_FIT_ITERATIONS):
+        moves = np.zeros_like(about)
+        moves.reshape(-1, 2)[rows] = _FIT_SHARE * _pulls(blurred, about + fitted[..., :2], rows)
+        fitted[..., :2] += moves
+        fitted = with_bone_lengths(fitted, lengths)
+        # The pelvis has no landmark and follows the hips.
+        about += moves.take(_HIP_POINTS, axis=1).sum(axis=1, keepdims=True) / 2
+    return fitted / scale, about + fitted[..., :2]
 
 
 def _moved_in_depth(
@@ -262,22 +266,18 @@ def _match_sides(landmarks: NormalisedLandmarks, exchanged: NDArray[np.bool_]) -
     return rows
 
 
-def _residuals(
-    landmarks: NormalisedLandmarks,
-    points_normalised: NDArray[np.float64],
-    rows: NDArray[np.int64],
+def _pulls(
+    landmarks: NormalisedLandmarks, placed: NDArray[np.float64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Offsets ``(M, 24, 2)`` to the landmarks from the points in ``rows`` ``(M, P)``.
+    """Offsets ``(M, P, 2)`` to the landmarks, of points in ``rows`` ``(M, P)`` of all skeletons.
 
-    The first skeleton follows the landmarks however far they are.
+    They are scaled down by the probability that a landmark is an outlier; the first skeleton
+    follows the landmarks however far they are.
     """
-    skeletons = np.arange(len(points_normalised))[:, None]
-    offsets = landmarks.positions - points_normalised[skeletons, rows]
+    offsets = landmarks.positions - placed.reshape(-1, 2).take(rows, axis=0)
     trust = landmarks.inlier_probability(offsets)
     trust[0] = landmarks.scores
-    residuals = np.zeros_like(points_normalised)
-    residuals[skeletons, rows] = trust[..., None] * offsets
-    return residuals
+    return trust[..., None] * offsets
 
 
 def _inlier_share(mass: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -256,16 +256,22 @@ def likeliest_first(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis
     return sorted(hypotheses, key=lambda one: (-one.confidence, one.distance))
 
 
-def ranked(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
+def ranked(
+    hypotheses: Sequence[PoseHypothesis], weights: Sequence[float] = ()
+) -> list[PoseHypothesis]:
     """The same hypotheses, none with a higher confidence or a smaller distance than those before.
 
     Batches are ordered one by one: this concerns the nearer ones of later batches, and distances.
+    The first ones get these weights, all others 0; without weights, all keep theirs.
     """
     distances = np.maximum.accumulate([one.distance for one in hypotheses]).tolist()
     confidences = np.minimum.accumulate([one.confidence for one in hypotheses]).tolist()
+    shares = [*weights, *([0.0 if weights else None] * len(hypotheses))]
     return [
-        replace(one, distance=distance, confidence=confidence)
-        for one, distance, confidence in zip(hypotheses, distances, confidences, strict=True)
+        replace(one, distance=distance, confidence=confidence, weight=weight)
+        for one, distance, confidence, weight in zip(
+            hypotheses, distances, confidences, shares, strict=False
+        )
     ]
 
 

@@ -6,8 +6,8 @@ by locally weighted linear regression [1]_ of the pose on the descriptor. This g
 the entries, and the distance that remains between the query and the mode.
 
 With landmarks, the depths of the limbs remain uncertain. The depths of the candidates and the
-errors of the landmarks give a posterior of these depths. :func:`depth_modes` selects a few depths
-that are near to most of the posterior.
+errors of the landmarks give a posterior of these depths. :func:`depth_modes` takes a few depths
+along its principal axes.
 
 References
 ----------
@@ -21,6 +21,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,8 @@ DISTINCT_M = 0.11
 """Smallest root mean square joint distance between the centres of two modes; half of it is enough
 after interpolation."""
 
-BANDWIDTH_M = 0.08
-"""Bandwidth of the density's Gaussian kernel, a root mean square joint distance."""
+# Bandwidth of the density's Gaussian kernel, a root mean square joint distance.
+_BANDWIDTH_M = 0.08
 
 # Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
 _SUPPRESSION = 1.5
@@ -47,9 +48,7 @@ _MIN_NEAREST_SHARE = 0.02
 # Exponent of the landmarks' likelihood in the weights: their errors are correlated (left for
 # right).
 _LIKELIHOOD_EXPONENT = 0.5
-# Descriptor distance equivalent to a pixel between a point and its landmark.
-_RESIDUAL_WEIGHT = 0.5
-# Ridge of the regression, relative to the variance of a mode's descriptors.
+# Ridge of the regression, relative to the variance of a mode's offsets.
 _RIDGE = 0.45
 # Candidates below this share of the largest weight in a mode do not belong to it.
 _MIN_MEMBER_WEIGHT = 1e-3
@@ -95,10 +94,6 @@ class Modes:
         """Select modes by row, in the order given."""
         return Modes(*(array[rows] for array in vars(self).values()))
 
-    def nearest(self, count: int | None = None) -> Modes:
-        """The ``count`` nearest, or all, in ascending distance."""
-        return self.take(np.argsort(self.distances, kind="stable")[:count])
-
     def append(self, modes: Modes) -> Modes:
         """These modes followed by others."""
         pairs = zip(vars(self).values(), vars(modes).values(), strict=True)
@@ -109,10 +104,8 @@ def find_modes(
     candidates: Candidates,
     weights: NDArray[np.float64],
     count: int,
-    *,
-    residuals: Sequence[NDArray[np.float64]] = (),
+    offsets: NDArray[np.floating],
     fit: Callable[[Modes], Modes] = lambda modes: modes,
-    bandwidth_m: float = BANDWIDTH_M,
 ) -> Modes:
     """Find up to ``count`` distinct modes, densest first.
 
@@ -120,23 +113,19 @@ def find_modes(
     ----------
     weights : (K,) array
         Weights of the candidates in the density.
-    residuals : sequence of (K, P, 2) arrays
-        Pixels from points of the candidates to where evidence besides the descriptor shows them;
-        modes are interpolated to where these vanish, too.
+    offsets : (K, ...) array
+        From the candidates to the query, between descriptors or between points in the picture;
+        modes are interpolated to where these vanish.
     fit : callable, optional
         Moves interpolated modes towards other evidence; modes that then coincide are kept once.
-    bandwidth_m : float
-        Smaller for an index that covers few motions densely, as in the paper's experiments.
 
     Returns
     -------
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    lacking = [-_RESIDUAL_WEIGHT * one.reshape(len(candidates), -1) for one in residuals]
-    offsets = np.concatenate([candidates.offsets.astype(np.float64), *lacking], axis=1)
-    apart = _joint_distances(candidates.points_3d[:, :JOINTS])
-    densest = _densest(weights, apart, bandwidth_m)
+    offsets = offsets.reshape(len(candidates), -1).astype(np.float64)
+    densest = _densest(weights, _joint_distances(candidates.points_3d[:, :JOINTS]))
     modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
     while len(distinct := _distinct(modes, DISTINCT_M / 2)[:count]) < count:
         # Interpolation or the fit made modes coincide: take enough others to replace them.
@@ -151,12 +140,11 @@ def find_modes(
 _ENTRY_DEPTH_SD_M = 0.2
 # Exponent of the candidates' weights, since these include part of the evidence of the depths.
 _ENTRY_EXPONENT = 0.3
-# Error of a limb across the line of sight: nearer skeletons do not differ.
-_ACROSS_M = 0.05
 _MIN_VARIANCE = 1e-5
-# Most draws that stand for the posterior: those of the likeliest candidates.
-_POSTERIOR_DRAWS = 100
-_LLOYD_STEPS = 5
+_NORMAL = NormalDist()
+# Alternatives in standard deviations of the posterior along its first two principal axes, which
+# have most of its variance; no two coincide if the first has all.
+_ALONG_AXES = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]])
 
 
 @dataclass(frozen=True)
@@ -165,11 +153,11 @@ class DepthModes:
 
     Parameters
     ----------
-    offsets : (M, 12) float64 array
+    offsets : (5, 12) float64 array
         Depths of the limbs behind the landmarks, metres.
-    nearer : (M,) float64 array
-        Share of the posterior that is nearer to each than to the depths of the landmarks.
-    misfits : (M,) float64 array
+    nearer : (5,) float64 array
+        Probability that the truth is nearer to each than to the depths of the landmarks.
+    misfits : (5,) float64 array
         Negative log likelihood of the landmarks, relative to that at their own depths.
     """
 
@@ -179,14 +167,13 @@ class DepthModes:
 
 
 def depth_modes(
-    candidates: Candidates, landmarks: NormalisedLandmarks, agreement: Agreement, count: int
+    candidates: Candidates, landmarks: NormalisedLandmarks, agreement: Agreement
 ) -> DepthModes:
-    """Find up to ``count`` alternatives to the depths of landmarks, the most useful first.
+    """Find alternatives to the depths of landmarks.
 
-    The posterior of the depths is a mixture with a normal distribution for each candidate: the
-    product of the errors of the landmarks and a normal distribution about the candidate. The
-    alternatives minimise the expected distance from the truth to the nearest of them and of the
-    landmarks' own depths.
+    For each candidate, the posterior of the depths is the product of the errors of the landmarks
+    and a normal distribution about the candidate. The mixture of these is taken as normal, and the
+    alternatives lie along its principal axes.
 
     Parameters
     ----------
@@ -198,54 +185,25 @@ def depth_modes(
     errors = landmarks.limb_covariance + _MIN_VARIANCE * limbs
     precision = np.linalg.inv(errors + _ENTRY_DEPTH_SD_M**2 * limbs)
     gain = errors @ precision
-    means = apart @ gain.T
     log_weights = np.log(likely_weights(candidates.distances, agreement) + 1e-300)
     log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
     shares = np.exp(log_shares - log_shares.max())
     shares /= shares.sum()
-    # A draw from each normal distribution stands for it.
-    draws = np.random.default_rng(0).standard_normal(means.shape)
-    truths = means + draws @ np.linalg.cholesky(errors - gain @ errors + _MIN_VARIANCE * limbs).T
-    likely = np.argsort(-shares, kind="stable")[:_POSTERIOR_DRAWS]
-    truths, shares = truths[likely], shares[likely] / shares[likely].sum()
-    modes = spread_modes(truths, shares, count)
-    distances = _depth_distances(truths, modes)
-    nearer = shares @ (distances[:, 1:] < distances[:, :1])
-    offsets = modes[1:]
+    mean = shares @ apart
+    about = apart - mean
+    spread = gain @ (about.T * shares @ about) @ gain.T
+    covariance = errors - gain @ errors + spread
+    variances, axes = np.linalg.eigh((covariance + covariance.T) / 2)
+    largest = axes[:, :-3:-1] * np.sqrt(np.maximum(variances[:-3:-1], 0))
+    mean = gain @ mean
+    # Of each axis, the end to which the mean is comes first: the direction of an axis is arbitrary.
+    largest *= np.where(mean @ largest < 0, -1.0, 1.0)
+    offsets = mean + _ALONG_AXES @ largest.T
+    # The truth is nearer to an alternative if it is beyond the middle between the two.
+    beyond = offsets @ mean - (offsets**2).sum(axis=1) / 2
+    deviations = beyond / np.sqrt(((offsets @ covariance) * offsets).sum(axis=1) + _MIN_VARIANCE**2)
     misfits = ((offsets @ np.linalg.inv(errors)) * offsets).sum(axis=1) / 2
-    return DepthModes(offsets, nearer, misfits)
-
-
-def spread_modes(
-    truths: NDArray[np.float64], shares: NDArray[np.float64], count: int
-) -> NDArray[np.float64]:
-    """Zero, and ``count`` more offsets ``(12,)`` near to most of the likely truths ``(K, 12)``.
-
-    They are chosen greedily among the truths, then moved to the means of their cells as in Lloyd's
-    algorithm; zero stays.
-    """
-    apart = _depth_distances(truths, truths)
-    modes = np.zeros((1 + count, truths.shape[1]))
-    nearest = _depth_distances(truths, modes[:1])
-    for mode in range(1, len(modes)):
-        best = int((shares @ np.minimum(apart, nearest)).argmin())
-        modes[mode] = truths[best]
-        nearest = np.minimum(nearest, apart[:, best : best + 1])
-    for _ in range(_LLOYD_STEPS):
-        cells = _joint_squares(truths[..., None], modes[..., None]).argmin(axis=1)
-        members = shares[:, None] * (cells[:, None] == np.arange(len(modes)))
-        members[:, 0] = 0
-        filled = members.sum(axis=0) > 0
-        members = members[:, filled]
-        modes[filled] = members.T @ truths / members.sum(axis=0)[:, None]
-    return modes
-
-
-def _depth_distances(
-    depths: NDArray[np.float64], others: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Distances ``(N, M)`` between skeletons whose limbs differ by depths ``(N, 12)``."""
-    return np.sqrt(_ACROSS_M**2 + _joint_squares(depths[..., None], others[..., None]))
+    return DepthModes(offsets, np.array([_NORMAL.cdf(one) for one in deviations]), misfits)
 
 
 def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
@@ -259,10 +217,10 @@ def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
 
 
 def _densest(
-    weights: NDArray[np.float64], apart: NDArray[np.float64], bandwidth_m: float
+    weights: NDArray[np.float64], apart: NDArray[np.float64]
 ) -> Iterator[tuple[int, NDArray[np.float64]]]:
     """Centres of modes, densest first, each with its share ``(K,)`` of the candidates' weights."""
-    kernel = np.exp(apart**2 / (-2 * bandwidth_m**2))
+    kernel = np.exp(apart**2 / (-2 * _BANDWIDTH_M**2))
     remaining = weights / weights.sum()
     penalty = np.zeros(len(weights))  # It is minus infinity near the centres taken.
     while True:
@@ -293,16 +251,10 @@ def candidate_weights(distances: NDArray[np.float64], fall_off: float = 0.3) -> 
 
 def _joint_distances(joints: NDArray[np.floating]) -> NDArray[np.float64]:
     """Root mean square joint distances ``(K, K)`` between skeletons ``(K, J, 3)``."""
-    return np.sqrt(_joint_squares(joints, joints))
-
-
-def _joint_squares(
-    joints: NDArray[np.floating], others: NDArray[np.floating]
-) -> NDArray[np.float64]:
-    """Mean squared distances ``(N, M)`` between joints ``(N, J, D)`` and ``(M, J, D)``."""
-    one, other = (some.reshape(len(some), -1) for some in (joints, others))
-    squared = (one**2).sum(axis=1)[:, None] + (other**2).sum(axis=1)[None] - 2 * one @ other.T
-    return np.maximum(squared, 0) / joints.shape[1]
+    flat = joints.reshape(len(joints), -1)
+    squares = (flat**2).sum(axis=1)
+    squared = squares[:, None] + squares - 2 * flat @ flat.T
+    return np.sqrt(np.maximum(squared, 0) / joints.shape[1])
 
 
 def _interpolate(

@@ -162,7 +162,9 @@ class _SilhouetteQuery(Query):
         while True:
             candidates = find_candidates(self.index, queries, k)
             weights = candidate_weights(candidates.distances) * ranking.support(candidates)
-            modes = find_modes(candidates, weights, n + SPARE_MODES, fit=ranking.fit)
+            modes = find_modes(
+                candidates, weights, n + SPARE_MODES, candidates.offsets, ranking.fit
+            )
             exhausted = len(candidates) < k
             if len(modes) >= n or exhausted or k >= MAX_CANDIDATE_GROWTH * ranking.usual_candidates:
                 return candidates, *ranking.order(modes, n)

@@ -257,6 +257,7 @@ def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
     silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
     landmarks = landmarks_of(points, points_3d)
     best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
+    assert (best.entry_id, best.mirrored) == (number, True)
     assert joint_error(best.points_normalised, points) < 1
     assert joint_error(best.points_3d, points_3d) < 0.01
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)

@@ -18,7 +18,6 @@ from index.modes import (
     candidate_weights,
     depth_modes,
     find_modes,
-    spread_modes,
 )
 from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
@@ -53,7 +52,8 @@ def some_pose(seed: int = 0) -> Points:
 
 def modes_of(candidates: Candidates, count: int, **options: Any) -> Modes:
     """Modes by the distances of the candidates alone."""
-    return find_modes(candidates, candidate_weights(candidates.distances), count, **options)
+    weights = candidate_weights(candidates.distances)
+    return find_modes(candidates, weights, count, candidates.offsets, **options)
 
 
 @settings(max_examples=60)
@@ -162,7 +162,7 @@ def depths_about(seed: int, covariance: Points) -> DepthModes:
     found = candidates_of(rng.normal(size=6), rng.normal(size=(60, 6)), poses)
     landmarks = replace(landmarks_of(100 * pose[:, :2], pose), limb_covariance=covariance)
     agreement = landmarks.compare(found.points_normalised, found.points_3d)
-    return depth_modes(found, landmarks, agreement, 5)
+    return depth_modes(found, landmarks, agreement)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -176,13 +176,34 @@ def test_alternatives_in_depth_spread_over_what_is_uncertain(seed: int) -> None:
     assert (found.misfits > along**2 / 2 - 0.05).all()
 
 
-@given(seed=st.integers(0, 999), count=st.integers(1, 5))
-def test_alternatives_move_to_the_means_of_their_cells_and_zero_stays(
-    seed: int, count: int
-) -> None:
-    truths = np.random.default_rng(seed).normal(0.1, 0.2, (30, len(LIMBS)))
-    zero, *others = spread_modes(truths, np.full(30, 1 / 30), count)
-    assert not zero.any()
-    cells = np.linalg.norm(truths[:, None] - [zero, *others], axis=-1).argmin(axis=1)
-    moved = [truths[cells == row + 1].mean(axis=0) for row in range(count)]
-    assert np.linalg.norm(np.array(moved) - others) < 0.5  # Five steps of Lloyd's algorithm.
+@pytest.mark.parametrize("seed", range(4))
+def test_the_share_nearer_to_an_alternative_is_that_of_the_posterior(seed: int) -> None:
+    """Candidates at the landmarks: the posterior is normal about these, with a known covariance."""
+    pose = some_pose(seed)
+    found = candidates_of(np.zeros(6), np.ones((9, 6)), np.tile(pose, (9, 1, 1)))
+    errors = 0.03 * np.eye(len(LIMBS)) + np.outer(LEAN, LEAN)
+    landmarks = replace(landmarks_of(100 * pose[:, :2], pose), limb_covariance=errors)
+    agreement = landmarks.compare(found.points_normalised, found.points_3d)
+    depths = depth_modes(found, landmarks, agreement)
+    covariance = np.linalg.inv(np.linalg.inv(errors) + np.eye(len(LIMBS)) / 0.2**2)
+    truths = np.random.default_rng(seed).multivariate_normal(np.zeros(12), covariance, 20_000)
+    apart = np.linalg.norm(truths[:, None] - depths.offsets, axis=-1)
+    nearer = (apart < np.linalg.norm(truths, axis=-1)[:, None]).mean(axis=0)
+    assert_allclose(depths.nearer, nearer, atol=0.02)
+    along = depths.offsets @ np.linalg.solve(errors, depths.offsets.T)
+    assert_allclose(depths.misfits, np.diag(along) / 2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_certain_depths_have_no_alternatives(seed: int) -> None:
+    limbs = np.eye(len(LIMBS))
+    assert np.abs(depths_about(seed, 1e-6 * limbs).offsets).max() < 0.03
+
+
+def test_fewer_alternatives_than_asked_for_few_candidates() -> None:
+    pose = some_pose()
+    found = candidates_of(np.zeros(6), np.ones((1, 6)), pose[None])
+    landmarks = landmarks_of(100 * pose[:, :2], pose)
+    agreement = landmarks.compare(found.points_normalised, found.points_3d)
+    depths = depth_modes(found, landmarks, agreement)
+    assert np.isfinite(depths.offsets).all()
