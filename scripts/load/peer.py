@@ -122,8 +122,8 @@ def compare(
         for query in QUERIES
         if unit
     }
-    rows = [
-        {
+    cases = {
+        f"{query}_{people}": {
             "people": people,
             "query": query.replace("_", " "),
             "found": people_found(client, one, COUNTED),
@@ -131,8 +131,8 @@ def compare(
             **beside.get(query, {}).get(people, {}),
         }
         for (people, query), one in calls.items()
-    ]
-    return {"frames": rounds * FILM, "peer_core_ms": unit, "cases": rows}
+    }
+    return {"frames": rounds * FILM, "peer_core_ms": unit, "cases": cases}
 
 
 def ratios(core_ms: Mapping[int, float], unit: float) -> dict[int, dict[str, float]]:
