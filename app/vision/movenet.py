@@ -73,7 +73,7 @@ class MoveNet:
             -(-side // _INPUT_MULTIPLE_PX) * _INPUT_MULTIPLE_PX for side in (height, width)
         )
         padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
-        padded[:height, :width] = image[..., ::-1]
+        padded[:height, :width] = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
         return decode_heads(self._network.run(padded))
 
 
