@@ -91,7 +91,8 @@ class TrackedPerson(Person):
 class TrackedFrame(Estimate):
     """A frame of a camera session, its people from left to right, in pixels as sent.
 
-    ``frame_index`` counts from 0. ``session`` is ``new`` if the frame began the session. ``reset``
+    The frame is black if half its size, or a part of its file, was enough. ``frame_index`` counts
+    from 0. ``session`` is ``new`` if the frame began the session. ``reset``
     is a sentence that says why all tracks were dropped before the frame.
     """
 
