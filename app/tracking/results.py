@@ -92,8 +92,8 @@ class TrackedFrame(Estimate):
     """A frame of a camera session, its people from left to right, in pixels as sent.
 
     The frame is black if half its size, or a part of its file, was enough. ``frame_index`` counts
-    from 0. ``session`` is ``new`` if the frame began the session. ``reset``
-    is a sentence that says why all tracks were dropped before the frame.
+    from 0. ``session`` is ``new`` if the frame began the session. ``reset`` is a sentence that says
+    why all tracks were dropped before the frame.
     """
 
     persons: tuple[TrackedPerson, ...]
