@@ -308,7 +308,7 @@ def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("film", "expected"), [("scenes/ntu-fall-a.mp4", 1.0), ("homes/t2vbed_mage_geton_009.mp4", 0.0)]
+    ("film", "expected"), [("urfd/fall-11.mp4", 1.0), ("homes/t2vbed_mage_geton_009.mp4", 0.0)]
 )
 def test_a_session_says_where_somebody_lies_down(film: str, expected: float) -> None:
     path = SHARED / "real" / film
