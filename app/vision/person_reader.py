@@ -153,7 +153,7 @@ class PersonReader:
         alone = without_bodies(frame, found.box, keypoints, others)
         about = PersonWindow.about_box(found.box, trunk_roll_deg(keypoints) or 0.0)
         first = self.network.read(alone, about)
-        if first.presence < MIN_PRESENCE or not agreement(first, keypoints):
+        if not agreement(first, keypoints):
             return None
         reading = self.read(alone, camera, Detection(found.box, found.score, keypoints), first)
         return reading if reading.trust.is_person and agrees(reading, keypoints) else None
