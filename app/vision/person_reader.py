@@ -52,8 +52,8 @@ class PersonReader:
     ) -> JudgedReading:
         """Read a person: the first reading that is good enough, else the best.
 
-        The better one has more of trust and agreement together. It is good enough if most keypoints
-        agree and the two add up to 1: if few are sure to agree, it has to be trusted.
+        The better one is a reading with which most keypoints agree, or has more of trust and
+        agreement together. It is good enough if most agree, and the two add up to 1.
 
         Parameters
         ----------
@@ -74,8 +74,9 @@ class PersonReader:
         about = PersonWindow.about_box(found.box, trunk_roll_deg(keypoints) or 0.0)
         readings = list[JudgedReading]()
 
-        def rank(reading: JudgedReading) -> float:
-            return reading.trust.right + agreement(reading, keypoints)
+        def rank(reading: JudgedReading) -> tuple[bool, float]:
+            share = agreement(reading, keypoints)
+            return agrees(reading, keypoints), reading.trust.right + share
 
         def windows() -> Iterator[PersonWindow | PoseReading]:
             if expected is not None:
@@ -93,7 +94,7 @@ class PersonReader:
                 continue
             else:
                 reading = self.judged(frame, camera, window, keypoints)
-            if agrees(reading, keypoints) and rank(reading) >= 1:
+            if rank(reading) >= (True, 1.0):
                 return reading
             readings.append(reading)
         return max(readings, key=rank)
@@ -153,7 +154,7 @@ class PersonReader:
         alone = without_bodies(frame, found.box, keypoints, others)
         about = PersonWindow.about_box(found.box, trunk_roll_deg(keypoints) or 0.0)
         first = self.network.read(alone, about)
-        if first.presence < MIN_PRESENCE or not agreement(first, keypoints):
+        if not agreement(first, keypoints):
             return None
         reading = self.read(alone, camera, Detection(found.box, found.score, keypoints), first)
         return reading if reading.trust.is_person and agrees(reading, keypoints) else None
