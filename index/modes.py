@@ -124,15 +124,15 @@ def find_modes(
     Modes
         Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
-    offsets = offsets.reshape(len(candidates), -1).astype(np.float64)
+    flat = np.asarray(offsets, np.float64).reshape(len(candidates), -1)
     densest = _densest(weights, _joint_distances(candidates.points_3d[:, :JOINTS]))
-    modes = fit(_interpolate(candidates, offsets, list(islice(densest, count))))
+    modes = fit(_interpolate(candidates, flat, list(islice(densest, count))))
     while len(distinct := _distinct(modes, DISTINCT_M / 2)[:count]) < count:
         # Interpolation or the fit made modes coincide: take enough others to replace them.
         missing = math.ceil((count - len(distinct)) * len(modes) / len(distinct))
         if not (next_densest := list(islice(densest, missing))):
             break
-        modes = modes.append(fit(_interpolate(candidates, offsets, next_densest)))
+        modes = modes.append(fit(_interpolate(candidates, flat, next_densest)))
     return modes.take(distinct)
 
 
