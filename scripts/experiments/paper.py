@@ -164,8 +164,9 @@ def first_poses(
 def ranked_modes(candidates: Candidates, count: int) -> Modes:
     """Return distinct poses, best first, as an index without a network ranks them."""
     weights = candidate_weights(candidates.distances)
-    found = find_modes(candidates, weights, count + SPARE_MODES, bandwidth_m=BANDWIDTH_M)
-    return found.nearest(count)
+    offsets = candidates.offsets
+    modes = find_modes(candidates, weights, count + SPARE_MODES, offsets, bandwidth_m=BANDWIDTH_M)
+    return modes.take(np.argsort(modes.distances, kind="stable")[:count])
 
 
 def measure_orders(known: Simulation, unseen: Simulation) -> dict[str, Any]:
