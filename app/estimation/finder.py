@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
 
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
@@ -14,8 +13,8 @@ from app.vision.detectors.tiles import smallest_person_px, tiles_of
 from app.vision.geometry import Box, PersonWindow
 from app.vision.halved import Frame, whole
 from app.vision.judgement import JudgedReading, PhotographModels
-from app.vision.people import Detection, ObservedKeypoints, Silhouette
-from app.vision.person_reader import PersonReader, agreement, beside_landmarks
+from app.vision.people import Detection, Silhouette
+from app.vision.person_reader import PersonReader, Seen, agreement
 from app.vision.same_person import first_of_body
 from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import attenuate_visibility_at_border, end_beyond_border
@@ -50,7 +49,7 @@ class Target:
     expected: PersonWindow | JudgedReading | None = None
     followed: bool = False
     least_trust: float = 0.0
-    seen: ObservedKeypoints | Literal["look"] | None = "look"
+    seen: Seen | None = None
 
     def box_of(self, reading: JudgedReading | None) -> Box:
         """The person's box; for a person who is only followed, the box about the landmarks."""
@@ -324,7 +323,7 @@ class PeopleFinder:
             person,
             silhouette=silhouette,
             next_window=reading.next_window,
-            seen_keypoints=beside_landmarks(reading),
+            seen_keypoints=Seen.of(reading),
             presence=reading.trust.person,
         )
         if not landmarks:

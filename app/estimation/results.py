@@ -12,7 +12,8 @@ from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
 from app.vision.optics import PinholeCamera
-from app.vision.people import Landmarks, ObservedKeypoints, Silhouette
+from app.vision.people import Landmarks, Silhouette
+from app.vision.person_reader import Seen
 from app.vision.rectification import Rectification
 from index.matching import PoseHypothesis
 from index.skeleton import wrap_degrees
@@ -85,7 +86,7 @@ class Person:
     landmarks: Landmarks | None = None
     presence: float | None = None
     next_window: PersonWindow | None = None
-    seen_keypoints: ObservedKeypoints | None = None
+    seen_keypoints: Seen | None = None
     beside: bool = False
     patch: Patch | None = None
     colours: NDArray[np.float32] | None = None

@@ -6,10 +6,12 @@ says when no further one is needed. MoveNet's keypoints need no window; they mak
 precise where both networks agree, and show whose they are among people close together.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Literal
+from typing import Self
 
 import cv2
 import numpy as np
@@ -24,6 +26,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
+    LANDMARK_NAMES,
     Detection,
     ObservedKeypoints,
     coco_rows,
@@ -84,6 +87,7 @@ class PersonReader:
             yield from window_beyond_border(keypoints, found.box, frame.shape)
             yield from found.windows
             yield about
+            yield replace(about, roll_deg=0.0)  # A person who leans may be read better.
             yield max(readings, key=rank).next_window
             yield replace(about, roll_deg=about.roll_deg + 180)
 
@@ -106,7 +110,7 @@ class PersonReader:
         found: Detection,
         window: PersonWindow,
         least_trust: float,
-        seen: ObservedKeypoints | Literal["look"] | None = "look",
+        seen: Seen | None = None,
     ) -> JudgedReading | None:
         """Read a person in the window that their last landmarks point to.
 
@@ -116,10 +120,10 @@ class PersonReader:
             The box in which the person is expected.
         least_trust : float
             If the reading is trusted less, other windows are read as well.
-        seen : ObservedKeypoints, None or "look"
-            What MoveNet saw when it looked last, see :func:`beside_landmarks`; it moves along with
-            the landmarks. By default, MoveNet looks now, and other windows are read if it
-            disagrees.
+        seen : Seen, optional
+            What MoveNet saw when it looked last; it moves along with the landmarks, unless these
+            have exchanged their sides. By default, MoveNet looks now, and other windows are read
+            if it disagrees.
 
         Returns
         -------
@@ -127,13 +131,12 @@ class PersonReader:
             None if the window no longer shows the person.
         """
         alone = self.network.read(frame, window)
-        if seen == "look":
-            keypoints = self.keypoint_reader.read(frame, alone.landmarks.box())
-            found = replace(found, keypoints=keypoints)
+        if seen is not None and not sides_exchanged(alone, seen.before):
+            keypoints, disagree = seen.on_landmarks(alone), False
         else:
-            keypoints = seen and on_landmarks(seen, alone)
+            keypoints = self.keypoint_reader.read(frame, alone.landmarks.box())
+            found, disagree = replace(found, keypoints=keypoints), not agrees(alone, keypoints)
         reading = self._with_keypoints(alone, camera, keypoints)
-        disagree = seen == "look" and not agrees(reading, keypoints)
         if disagree or reading.trust.right < least_trust:
             reading = self.read(frame, camera, found, alone)
         return reading if reading.presence >= MIN_PRESENCE else None
@@ -300,6 +303,9 @@ def _mean_position(
 AGREEMENT_DISTANCE = 0.15
 """Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
 
+# Agreement from which MoveNet need not look at the next frame.
+_SURE_AGREEMENT = 0.9
+
 # Only the nose represents the face.
 _COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
 
@@ -314,8 +320,28 @@ def agreement(reading: PoseReading, keypoints: ObservedKeypoints | None) -> floa
 
 
 def agrees(reading: PoseReading, keypoints: ObservedKeypoints | None) -> bool:
-    """Whether most keypoints agree: they do not if the reading is of another person's body."""
-    return agreement(reading, keypoints) >= 0.5
+    """Whether most keypoints agree: they do not if the reading is of another person's body.
+
+    Nor do they if they lie nearer to the landmarks of the other side.
+    """
+    is_same_body = agreement(reading, keypoints) >= 0.5
+    return is_same_body and not (keypoints and sides_exchanged(reading, keypoints))
+
+
+_OTHER_SIDE_LANDMARKS = [
+    LANDMARK_NAMES.index(
+        name.replace("left", "right") if name.startswith("left") else name.replace("right", "left")
+    )
+    for name in COCO_NAMES
+]
+
+
+def sides_exchanged(reading: PoseReading, keypoints: ObservedKeypoints) -> bool:
+    """Whether keypoints lie nearer to the landmarks of the other side."""
+    apart = keypoints.positions - reading.landmarks.positions[_OTHER_SIDE_LANDMARKS]
+    exchanged = np.linalg.norm(apart, axis=1) / reading.body_px
+    scores = keypoints.scores[_COMPARED]
+    return bool(scores @ exchanged[_COMPARED] < scores @ _distances(reading, keypoints)[_COMPARED])
 
 
 def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np.float64]:
@@ -324,21 +350,35 @@ def _distances(reading: PoseReading, keypoints: ObservedKeypoints) -> NDArray[np
     return np.linalg.norm(offsets, axis=1) / reading.body_px
 
 
-def beside_landmarks(reading: PoseReading) -> ObservedKeypoints | None:
-    """A reading's keypoints relative to the network's own landmarks, in sizes of the body."""
-    keypoints = reading.keypoints
-    if keypoints is None:
-        return None
-    to_frame = reading.window.to_frame(LANDMARK_PX)
-    points = reading.network_pass.points[COCO_LANDMARKS, :2].astype(np.float64)
-    apart = keypoints.positions - transform_points(to_frame, points - 0.5)
-    return ObservedKeypoints(apart / reading.body_px, keypoints.scores)
+@dataclass(frozen=True)
+class Seen:
+    """What MoveNet saw of a person when it looked last, beside the landmarks of a later reading."""
 
+    apart: NDArray[np.float64]  # (17, 2): keypoints relative to landmarks, in sizes of the body
+    before: ObservedKeypoints  # these landmarks, pixels, with the keypoints' scores
 
-def on_landmarks(seen: ObservedKeypoints, reading: PoseReading) -> ObservedKeypoints:
-    """Keypoints that move along with the landmarks of a later reading."""
-    positions = reading.landmarks.positions[COCO_LANDMARKS]
-    return ObservedKeypoints(positions + reading.body_px * seen.positions, seen.scores)
+    @classmethod
+    def of(cls, reading: JudgedReading) -> Self | None:
+        """A reading's keypoints beside the network's own landmarks.
+
+        None without keypoints, or unless the reading is trusted and nearly all of them agree: then
+        MoveNet has to look at the next frame as well, or left and right may be exchanged.
+        """
+        keypoints = reading.keypoints
+        if keypoints is None or not reading.trust.is_right:
+            return None
+        if agreement(reading, keypoints) < _SURE_AGREEMENT:
+            return None
+        to_frame = reading.window.to_frame(LANDMARK_PX)
+        points = reading.network_pass.points[COCO_LANDMARKS, :2].astype(np.float64)
+        landmarks = transform_points(to_frame, points - 0.5)
+        apart = (keypoints.positions - landmarks) / reading.body_px
+        return cls(apart, replace(keypoints, positions=landmarks))
+
+    def on_landmarks(self, reading: PoseReading) -> ObservedKeypoints:
+        """The keypoints, moved along with the landmarks of a later reading."""
+        positions = reading.landmarks.positions[COCO_LANDMARKS]
+        return replace(self.before, positions=positions + reading.body_px * self.apart)
 
 
 # Weight of a keypoint of score 1, relative to the landmark with which it agrees.

@@ -25,8 +25,8 @@ from app.vision.people import (
 from app.vision.person_reader import (
     AGREEMENT_DISTANCE,
     PersonReader,
+    Seen,
     agreement,
-    beside_landmarks,
     fuse,
     trunk_roll_deg,
     window_beyond_border,
@@ -92,7 +92,7 @@ def test_a_person_is_followed_as_long_as_the_window_shows_them(
         window = reading.next_window
         followed = person_reader.follow(street, camera, known, window, 0.0)
         assert followed is not None and followed.keypoints is not None
-        later = person_reader.follow(street, camera, known, window, 0.0, beside_landmarks(followed))
+        later = person_reader.follow(street, camera, known, window, 0.0, Seen.of(followed))
         blind = person_reader.follow(street, camera, known, window, 0.0, None)
         assert later is not None and blind is not None and blind.keypoints is None
         # Keypoints move along with their landmarks.
