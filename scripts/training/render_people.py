@@ -22,6 +22,7 @@ from app.vision.geometry import PersonWindow
 from app.vision.judgement import FRAME_POSTURES
 from scripts.results import ROOT
 from scripts.training.photograph_data import Rows, WindowRows
+from scripts.training.render.cut_outs import read_cut_outs
 from scripts.training.render.scene import EMPTY, Photograph, Studio
 
 PER_FILE = 500
@@ -29,6 +30,8 @@ PEOPLE, HELD_OUT_PEOPLE = 60, 16
 """Bodies in the training and in the held-out part."""
 
 EMPTY_SHARE = 1 / 7
+"""Share of the pictures without people, unless another is given."""
+
 BARE_SHARE = 0.5
 """Share of the pictures without people whose window lies anywhere, not about the thing in it."""
 
@@ -92,7 +95,7 @@ def row_of(number: int, photograph: Photograph, reading: PoseReading) -> WindowR
 def photograph_of(studio: Studio, seed: int, number: int) -> tuple[Photograph, np.random.Generator]:
     """The photograph of a number, which does not depend on those made before it."""
     generator = np.random.default_rng([seed, number])
-    empty = bool(generator.random() < EMPTY_SHARE)
+    empty = bool(generator.random() < studio.empty)
     return studio.take(generator, empty=empty), generator
 
 
@@ -112,15 +115,23 @@ def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -
     return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
 
 
+LOOKS, CHAIN = 4, 3
+"""First windows in a picture without people, and how far their next ones are followed: the network
+seldom takes a thing for a person, and it is these windows that trust has to reject."""
+
+
 def read_windows(
     network: LandmarkNetwork, number: int, photograph: Photograph, generator: np.random.Generator
 ) -> WindowRows:
-    """The network's readings in a first window, and in the next one, to which the first points."""
-    rows, window = [], first_window(photograph, generator)
-    for _ in range(2):
-        reading = network.read(photograph.image, window)
-        rows.append(row_of(number, photograph, reading))
-        window = reading.next_window
+    """The network's readings in first windows, and in those to which they point."""
+    looks, chain = (LOOKS, CHAIN) if photograph.posture == EMPTY else (1, 2)
+    rows = []
+    for _ in range(looks):
+        window = first_window(photograph, generator)
+        for _ in range(chain):
+            reading = network.read(photograph.image, window)
+            rows.append(row_of(number, photograph, reading))
+            window = reading.next_window
     return WindowRows.joined(rows)
 
 
@@ -134,13 +145,19 @@ def rendering_parser(description: str | None, count: int, seed: int) -> argparse
     parser.add_argument("--count", type=int, default=count, help="photographs")
     parser.add_argument("--seed", type=int, default=seed)
     parser.add_argument("--held-out", action="store_true", help="held-out clips and garments")
+    parser.add_argument("--cut-outs", type=Path, help="folder of pictures of things, cut out")
+    parser.add_argument("--empty", type=float, default=EMPTY_SHARE, help="share without people")
     return parser
 
 
 def open_studio(options: argparse.Namespace) -> Studio:
     """The studio of these options."""
     count = HELD_OUT_PEOPLE if options.held_out else PEOPLE
-    return studio_of(options.shared, count, options.seed, held_out=options.held_out)
+    studio = studio_of(options.shared, count, options.seed, held_out=options.held_out)
+    studio.empty = options.empty
+    if options.cut_outs is not None:
+        studio.cut_outs = read_cut_outs(options.cut_outs, held_out=options.held_out)
+    return studio
 
 
 def studio_of(shared: Path, count: int, seed: int, *, held_out: bool) -> Studio:

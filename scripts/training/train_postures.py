@@ -24,7 +24,7 @@ from scripts.training.train_photograph_models import FILE, store
 ENSEMBLE, HIDDEN = 3, 192
 """Number of networks whose mean is the posture network, and hidden values of each."""
 
-TRAINED_ON_RATE = 1e-4
+TRAINED_ON_RATE = 3e-4
 """Highest learning rate of a network that is trained on."""
 
 BLANK = 0.4
@@ -100,9 +100,12 @@ def train_models(
     held: PostureRows,
     epochs: int,
     seed: int,
-    initial: DenseNetwork | None = None,
+    initial: PostureModel | None = None,
 ) -> dict[str, Any]:
-    """Arrays of the model; figures on the second half of the held-out photographs are printed."""
+    """Arrays of the model; figures on the second half of the held-out photographs are printed.
+
+    A model that is trained on keeps its sharpness.
+    """
     teaches = (train.posture >= 0) & (train.presence > SEEN_FROM)
     body, surroundings = (
         part[teaches].astype(np.float32) for part in (train.body, train.surroundings)
@@ -111,13 +114,16 @@ def train_models(
     average = np.broadcast_to(surroundings.mean(axis=0), surroundings[blank].shape)
     evidence = np.vstack([np.hstack([body, surroundings]), np.hstack([body[blank], average])])
     classes = np.concatenate([train.posture[teaches], train.posture[teaches][blank]])
-    network = train_posture(evidence, classes, epochs, seed + 20, initial)
+    before = None if initial is None else initial.network
+    network = train_posture(evidence, classes, epochs, seed + 20, before)
     posture = PostureModel(network, np.zeros(2))
     scores = posture.scores(held.body.astype(np.float32), held.surroundings.astype(np.float32))
     calibrates = held.photograph % 2 == 0
     # Pictures without people that the network takes for people limit the certainty.
     asked = (held.presence > NOBODY_FROM) & calibrates
     sharpness = fit_sharpness(scores[asked], held.right[asked], held.posture[asked])
+    if initial is not None:
+        sharpness = initial.sharpness
     print(f"from {teaches.sum()} views; sharpness {sharpness.round(3)}")
     given = sharpened(scores, held.right, sharpness)
     for number, name in enumerate(VIEWS):
@@ -143,5 +149,5 @@ def main(arguments: Sequence[str] | None = None) -> None:
     train = train.take(train.photograph % 1000 < 1000 * options.share)
     initial = None
     if options.start is not None:
-        initial = load_photograph_models(options.start).posture.network
+        initial = load_photograph_models(options.start).posture
     store(train_models(train, held, options.epochs, options.seed, initial), options.out)

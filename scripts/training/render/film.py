@@ -19,6 +19,7 @@ from scripts.training.motions import Motion, Motions, drawn
 from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera, sample_camera
 from scripts.training.render.development import develop
+from scripts.training.render.jointed import jointed_thing
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import Mesh, joined
 from scripts.training.render.people import Person, person_materials
@@ -122,7 +123,7 @@ class MovingThing:
         cls, middle: NDArray[np.float64], materials: Materials, generator: Generator
     ) -> MovingThing:
         """An animal that runs and jumps, a chair or bag that is pulled, a door that swings."""
-        makers = (furniture.animal, furniture.animal, *furniture.SUBJECTS, furniture.cupboard)
+        makers = (*[jointed_thing] * 5, *furniture.SUBJECTS, furniture.cupboard)
         maker = makers[generator.integers(len(makers))]
         mesh = maker(materials, generator)
         heading = generator.uniform(0, 2 * np.pi) + np.cumsum(
@@ -134,7 +135,7 @@ class MovingThing:
             step[:, None] * np.stack([np.sin(heading), 0 * heading, np.cos(heading)], axis=1),
             axis=0,
         )
-        if maker is furniture.animal and generator.random() < JUMPS:
+        if maker is jointed_thing and generator.random() < JUMPS:
             path[:, 1] = _jumps(generator)
         first = middle + generator.uniform(-1.5, 1.5, 3)
         return cls(mesh, (first - path.mean(axis=0)) * [1, 0, 1] + path, heading)

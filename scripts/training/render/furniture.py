@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from scripts.training.render.materials import Materials, any_colour, cloth, surface
 from scripts.training.render.meshes import Mesh, box, ellipsoid, joined, sheet, tube, wheel
-from scripts.training.render.pose import about
 
 
 def _legs(
@@ -312,51 +311,6 @@ def plant(materials: Materials, generator: Generator) -> Mesh:
     return joined(parts)
 
 
-def animal(materials: Materials, generator: Generator) -> Mesh:
-    """Cat, dog or other beast: standing, sitting up, lying or leaping."""
-    fur = materials.add(cloth(generator))
-    size = generator.uniform(0.35, 1.1)
-    high = size * generator.uniform(0.35, 0.7)
-    way = generator.choice(["stands", "sits", "lies", "leaps"])
-    legs = 0.05 if way == "lies" else high
-    thick = size * generator.uniform(0.13, 0.22)
-    front = np.array([0, legs + (0.6 * size if way == "sits" else 0.0), 0.5 * size])
-    if way == "sits":
-        front[2] = 0.15 * size
-    rear = np.array([0, (0.1 if way in ("sits", "lies") else 1.0) * legs + 0.05, -0.4 * size])
-    parts = [
-        ellipsoid(rear + share * (front - rear), [thick, thick * 1.1, thick * 1.1], fur)
-        for share in np.linspace(0, 1, 5)
-    ]
-    head = front + np.array([generator.normal(0, 0.04), 0.22 * size, 0.18 * size])
-    parts.append(tube(front, head, thick * 0.6, fur))
-    parts.append(ellipsoid(head, [thick * 0.8, thick * 0.8, thick], fur))
-    parts.append(
-        ellipsoid(head + np.array([0, -0.02, thick]), [thick * 0.4, thick * 0.35, thick * 0.6], fur)
-    )
-    dark = materials.add(surface(generator, pale=0.0))
-    # A leaping animal stretches its legs ahead and behind.
-    reach = {"lies": (0.3, 0.3), "leaps": tuple(generator.uniform([0, -0.6], [0.6, 0]))}
-    ahead, behind = reach.get(str(way), (0.0, 0.0))
-    for x in (-thick, thick):
-        ear = head + np.array([0.6 * x, thick * 0.8, -0.2 * thick])
-        parts.append(ellipsoid(ear, [thick * 0.2, thick * 0.4, thick * 0.15], fur, 6))
-        eye = head + np.array([0.35 * x, 0.2 * thick, 0.85 * thick])
-        parts.append(ellipsoid(eye, [0.015, 0.015, 0.015], dark, 5))
-        for place, stretched in ((front, ahead), (rear, behind)):
-            foot = [x, 0.0, place[2] + stretched * size]
-            parts.append(tube([x, place[1], place[2]], foot, thick * 0.3, fur, 7))
-    parts.append(
-        tube(rear, rear + np.array([0.1, generator.uniform(-0.1, 0.3), -0.4 * size]), 0.03, fur)
-    )
-    mesh = joined(parts)
-    if way != "leaps":
-        return mesh
-    tilt = about(np.array([1.0, 0.0, 0.0]), float(np.deg2rad(generator.uniform(-75, 60))))
-    mesh = mesh.placed(tilt, [0.0, 0.0, 0.0])
-    return mesh.placed(np.eye(3), [0.0, 0.05 - float(mesh.vertices[:, 1].min()), 0.0])
-
-
 def heap(materials: Materials, generator: Generator) -> Mesh:
     """Lumps of cloth and boxes in a heap."""
     parts = []
@@ -391,10 +345,9 @@ CLUTTER: tuple[Maker, ...] = (
     bag, plant, walking_frame,
 )  # fmt: skip
 SUBJECTS: tuple[Maker, ...] = (
-    animal, animal, animal, animal, bag, bag, heap, bust, plant, empty_chair, empty_table,
-    empty_bed, cupboard, empty_cycle,
+    bag, bag, heap, bust, plant, empty_chair, empty_table, empty_bed, cupboard, empty_cycle,
 )  # fmt: skip
-"""What photographs without people show."""
+"""Furniture and things that photographs without people show."""
 
 
 def wall_colour(generator: Generator) -> NDArray[np.float64]:

@@ -28,6 +28,12 @@ class Mesh:
         moved = self.vertices @ turn.T + np.asarray(shift)
         return replace(self, vertices=moved.astype(np.float32))
 
+    def part(self, kept: NDArray[np.bool_]) -> Mesh:
+        """Some of the triangles ``(T,)`` and their vertices."""
+        used, corners = np.unique(self.triangles[kept], return_inverse=True)
+        triangles = corners.reshape(-1, 3).astype(np.int32)
+        return Mesh(self.vertices[used], self.textured[used], triangles, self.materials[used])
+
 
 def joined(meshes: Sequence[Mesh]) -> Mesh:
     """Several meshes as one, their triangles in order."""
@@ -48,7 +54,7 @@ def _mesh(vertices: ArrayLike, triangles: ArrayLike, material: int) -> Mesh:
     return Mesh(points, points.copy(), corners, np.full(len(points), material, np.int32))
 
 
-def _grid(rows: int, columns: int) -> NDArray[np.int32]:
+def grid(rows: int, columns: int) -> NDArray[np.int32]:
     """Triangles of a sheet of ``rows * columns`` vertices, row by row."""
     first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     one = np.stack([first, first + 1, first + columns], axis=1)
@@ -71,7 +77,7 @@ def box(low: ArrayLike, high: ArrayLike, material: int, parts: int = 3) -> Mesh:
             face[:, axis] = end
             face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = across, along
             faces.append(start + face * size)
-    sheet = _grid(parts + 1, parts + 1)
+    sheet = grid(parts + 1, parts + 1)
     triangles = [sheet + number * len(across) for number in range(6)]
     return _mesh(np.concatenate(faces), np.concatenate(triangles), material)
 
@@ -82,7 +88,7 @@ def ellipsoid(centre: ArrayLike, radii: ArrayLike, material: int, parts: int = 1
     p, a = np.meshgrid(polar, around, indexing="ij")
     unit = np.stack([np.sin(p) * np.cos(a), np.cos(p), np.sin(p) * np.sin(a)], axis=-1)
     points = unit.reshape(-1, 3) * np.asarray(radii) + np.asarray(centre)
-    return _mesh(points, _grid(parts, 2 * parts), material)
+    return _mesh(points, grid(parts, 2 * parts), material)
 
 
 def tube(start: ArrayLike, end: ArrayLike, radius: float, material: int, parts: int = 10) -> Mesh:
@@ -96,7 +102,7 @@ def tube(start: ArrayLike, end: ArrayLike, radius: float, material: int, parts: 
     ring = radius * (np.cos(angle)[:, None] * aside + np.sin(angle)[:, None] * other)
     rings = [np.repeat(a[None], parts + 1, 0), a + ring, b + ring]
     rings.append(np.repeat(b[None], parts + 1, 0))
-    return _mesh(np.concatenate(rings), _grid(4, parts + 1), material)
+    return _mesh(np.concatenate(rings), grid(4, parts + 1), material)
 
 
 def wheel(centre: ArrayLike, axle: ArrayLike, radius: float, width: float, material: int) -> Mesh:
@@ -119,4 +125,4 @@ def sheet(
     """Cloth over a grid: ``heights`` ``(len(z), len(x))`` above the ground."""
     across, along = np.meshgrid(x, z)
     points = np.stack([across, heights, along], axis=-1)
-    return _mesh(points, _grid(len(z), len(x)), material)
+    return _mesh(points, grid(len(z), len(x)), material)

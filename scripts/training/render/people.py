@@ -47,7 +47,7 @@ class Person:
 
     Vertices ``(V, 3)`` have influences and weights ``(V, 8)``, and positions in :data:`PARTS`. A
     posed landmark is the sum over bones of ``transform @ landmarks[row, bone]``. ``seat`` are
-    vertices of the pelvis and the upper thighs.
+    vertices of the pelvis and the upper thighs; ``head`` ``(V,)`` tells those of head and neck.
     """
 
     avatar: Avatar
@@ -58,6 +58,7 @@ class Person:
     parts: NDArray[np.int32]
     landmarks: NDArray[np.float64]
     seat: NDArray[np.int64]
+    head: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ def dressed(phenotype: Phenotype, outfit: Outfit, garments: Path) -> Person:
         np.concatenate(parts)[used],
         _landmark_weights(avatar, base),
         np.flatnonzero(np.isin(leading, SEAT_BONES)),
+        np.isin(leading, ("Neck", "Neck1", "Head")),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -18,10 +19,23 @@ from scripts.index.poses import TRUNK_BELOW_M
 from scripts.index.render import skin
 from scripts.training.render import furniture
 from scripts.training.render.cameras import Camera, sample_camera
+from scripts.training.render.cut_outs import CutOut, inflated
 from scripts.training.render.development import develop
-from scripts.training.render.materials import Materials
+from scripts.training.render.jointed import jointed_thing
+from scripts.training.render.materials import Materials, surface
 from scripts.training.render.meshes import Mesh, joined
-from scripts.training.render.people import MIRRORED, Person, cast, person_materials, posed_landmarks
+from scripts.training.render.people import (
+    BOTTOM,
+    MIRRORED,
+    SHOES,
+    SKIN,
+    TOP,
+    Person,
+    cast,
+    person_materials,
+    posed_landmarks,
+)
+from scripts.training.render.pose import about
 from scripts.training.render.posing import SHARES, PoseSource, class_of, read_pose_source
 from scripts.training.render.raster import (
     NOTHING,
@@ -58,8 +72,17 @@ COMPANIONS, HIDDEN = 0.14, 0.22
 CLOSE_UPS = 0.1
 """Share of people whose picture holds one end of the body, mostly the head's."""
 
-JUMBLED = 0.3
+JUMBLED = 0.15
 """Share of pictures without people in which two things overlap."""
+
+STILL_LIVES = {"furniture": 0.35, "jointed": 0.25, "cut out": 0.25, "worn by nobody": 0.15}
+"""What pictures without people show, and how often."""
+
+WORN = ((TOP,), (BOTTOM,), (TOP, BOTTOM), (TOP, BOTTOM, SHOES), (TOP, BOTTOM, SHOES, SKIN))
+"""What is worn by nobody; with skin, by a mannequin without a head."""
+
+MIN_WORN, LAID_OUT = 300, 0.3
+"""Vertices of clothes that are seen as such; share of clothes that lie flat."""
 
 EMPTY = -1
 """Class of pictures that show nobody."""
@@ -106,6 +129,9 @@ class Studio:
     source: PoseSource
     # Share of the people who lie whose head points to the camera, beside those by chance.
     head_first: float = 0.0
+    # Share of the photographs without people.
+    empty: float = 0.0
+    cut_outs: Sequence[CutOut] = ()
 
     @classmethod
     def open(cls, motion: Path, garments: Path, count: int, seed: int, *, held_out: bool) -> Studio:
@@ -155,19 +181,57 @@ class Studio:
         return _photograph(body.mesh, body, things, floor, materials, generator, azimuth)
 
     def _still_life(self, materials: Materials, generator: Generator) -> Photograph | None:
-        makers = furniture.SUBJECTS
-        subject = makers[generator.integers(len(makers))](materials, generator)
+        subject = self._thing(materials, generator)
         if generator.random() < JUMBLED:
-            other = makers[generator.integers(len(makers))](materials, generator)
+            other = self._thing(materials, generator)
             subject = joined([subject, other.placed(np.eye(3), generator.normal(0, 0.25, 3))])
         turn = about_vertical(np.array([generator.uniform(0, 2 * np.pi)]))[0]
         raised = generator.choice([0.0, generator.uniform(0, 0.8)])
+        if not len(subject.triangles):
+            return None
         subject = subject.placed(turn, [0.0, raised, 0.0])
         return _photograph(subject, None, [], 0.0, materials, generator)
 
-    def body(self, wanted: str, materials: Materials, generator: Generator) -> PosedBody | None:
-        """A body in a pose of a class; None where the pose came out as another."""
-        person = self.people[generator.integers(len(self.people))]
+    def _thing(self, materials: Materials, generator: Generator) -> Mesh:
+        kind = generator.choice(list(STILL_LIVES), p=list(STILL_LIVES.values()))
+        if kind == "worn by nobody":
+            return self._worn_by_nobody(materials, generator)
+        if kind == "cut out" and self.cut_outs:
+            return inflated(self.cut_outs, materials, generator)
+        if kind == "jointed":
+            return jointed_thing(materials, generator)
+        makers = furniture.SUBJECTS
+        return makers[generator.integers(len(makers))](materials, generator)
+
+    def _worn_by_nobody(self, materials: Materials, generator: Generator) -> Mesh:
+        """Clothes in the shape of a body, hung or laid out, or on a mannequin without a head."""
+        while True:
+            person = self.people[generator.integers(len(self.people))]
+            parts = WORN[generator.integers(len(WORN))]
+            worn = np.isin(person.parts, parts) & ~person.head
+            body = self.body("standing", materials, generator, person)
+            if body is None or worn.sum() < MIN_WORN:
+                continue
+            plain = materials.add(surface(generator, pale=0.7))
+            rows = np.where(person.parts == SKIN, plain, body.mesh.materials).astype(np.int32)
+            clothes = replace(body.mesh, materials=rows).part(
+                np.asarray(worn[person.triangles].all(axis=1))
+            )
+            deep = 1.0 if SKIN in parts else generator.uniform(0.1, 1.0)
+            clothes = clothes.placed(np.diag([1.0, 1.0, deep]), np.zeros(3))
+            if generator.random() < LAID_OUT:
+                clothes = clothes.placed(about(np.array([1.0, 0, 0]), -np.pi / 2), np.zeros(3))
+            return clothes.placed(np.eye(3), [0.0, -float(clothes.vertices[:, 1].min()), 0.0])
+
+    def body(
+        self,
+        wanted: str,
+        materials: Materials,
+        generator: Generator,
+        person: Person | None = None,
+    ) -> PosedBody | None:
+        """A body, of anyone by default, in a pose of a class; None where it came out as another."""
+        person = person or self.people[generator.integers(len(self.people))]
         pose = self.source.draw(wanted, generator)
         turned = pose_transforms(
             person.avatar, retarget(pose.clip, person.avatar), pose.rotations[None]

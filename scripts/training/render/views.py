@@ -18,8 +18,13 @@ _SHOULDERS, _HIPS, _KNEES, _ANKLES = (
 _DIRECTIONS = {(0, 1): 0.76, (0, -1): 0.08, (1, 0): 0.08, (-1, 0): 0.08}
 """Where the hidden side lies, right and down, and how often: people mostly lose their legs."""
 
-_CUT = 0.6
-"""Share of hidden bodies that the frame cuts off; things in front cover the others."""
+_CUT, _BEFORE = 0.4, 0.35
+"""Shares of hidden bodies that the frame cuts off, and that have a thing in front of them, such as
+an animal; a wall or a piece of furniture hides one side of the others."""
+
+_TOPS, _LENGTHS = (0.25, 0.65), (0.15, 0.75)
+"""Where a thing in front of a body begins, from the top of the body, and how far it reaches down:
+shares of the body's height."""
 
 _MIN_SIDE_PX, _MIN_SHOWN = 12, 5
 """A picture is no smaller, and shows no fewer landmarks of a body."""
@@ -27,6 +32,8 @@ _MIN_SIDE_PX, _MIN_SHOWN = 12, 5
 
 def hide(photograph: Photograph, generator: Generator) -> Photograph:
     """Cut a body off, or cover a part of it; the same photograph where too little would be left."""
+    if generator.random() < _BEFORE:
+        return _behind_a_thing(photograph, generator)
     x, y = list(_DIRECTIONS)[generator.choice(len(_DIRECTIONS), p=list(_DIRECTIONS.values()))]
     along = photograph.places @ np.array([x, y], float)
     chest = np.concatenate([along[_SHOULDERS], along[_HIPS]]).mean()
@@ -36,7 +43,7 @@ def hide(photograph: Photograph, generator: Generator) -> Photograph:
     shown = photograph.shown & (along < level)
     if shown.sum() < _MIN_SHOWN:
         return photograph
-    hidden = _cut if generator.random() < _CUT else _covered
+    hidden = _cut if generator.random() < _CUT / (1 - _BEFORE) else _covered
     return hidden(photograph, (x, y), float(level), shown, generator)
 
 
@@ -108,6 +115,62 @@ def _covered(
         shown=shown,
         covered=_covered_share(photograph, shown),
     )
+
+
+def _behind_a_thing(photograph: Photograph, generator: Generator) -> Photograph:
+    """The photograph with a box, an animal, a wide skirt or a thing in hand before the body."""
+    image, box = photograph.image, photograph.box.copy()
+    inside, top = _outline(photograph, generator)
+    rows, columns = image.shape[:2]
+    x, y = np.clip(photograph.places, 0, [columns - 1, rows - 1]).astype(int).T
+    shown = photograph.shown & (inside[y, x] == 0)
+    if not _MIN_SHOWN <= shown.sum() < photograph.shown.sum():
+        return photograph
+    soft = cv2.GaussianBlur(inside, (0, 0), generator.uniform(0.3, 1.2))
+    mixed = image + soft[..., None] * (_thing(image, generator).astype(np.float32) - image)
+    if not shown[_KNEES + _ANKLES].any():
+        box[3] = max(top, float(photograph.places[shown, 1].max())) - box[1]
+    return replace(
+        photograph,
+        image=np.clip(mixed, 0, 255).astype(np.uint8),
+        box=box,
+        shown=shown,
+        covered=_covered_share(photograph, shown),
+    )
+
+
+def _outline(photograph: Photograph, generator: Generator) -> tuple[NDArray[np.float32], float]:
+    """Where a thing is before a body, 0 or 1, ``(H, W)``, and where the body ends above it."""
+    inside, box = np.zeros(photograph.image.shape[:2], np.float32), photograph.box
+    begin, share = generator.uniform(*_TOPS), generator.uniform(*_LENGTHS)
+    top, long = float(box[1] + begin * box[3]), float(share * box[3])
+    hips, ankles = (photograph.places[rows].mean(axis=0) for rows in (_HIPS, _ANKLES))
+    x, y = hips[0] + generator.normal(0, 0.12) * box[3], top + long / 2
+    wide, turned = long * float(np.exp(generator.uniform(-1.2, 0.8))), float(generator.normal(0, 8))
+    way = generator.choice(["box", "animal", "skirt", "in hand"])
+    if way == "box":
+        corners = cv2.boxPoints(((x, y), (1.6 * wide, long), turned))
+        cv2.fillPoly(inside, [corners.round().astype(np.int32)], 1)
+    elif way == "in hand":
+        turned = float(generator.uniform(0, 180))
+        cv2.ellipse(inside, ((x, y), (0.6 * wide, 1.3 * long), turned), 1, cv2.FILLED)
+    elif way == "animal":
+        head = x + generator.choice([-0.6, 0.6]) * wide, y - 0.4 * long
+        cv2.ellipse(inside, ((x, y), (2 * wide, 0.7 * long), turned), 1, cv2.FILLED)
+        cv2.ellipse(inside, (head, (0.6 * long, 0.45 * long), turned), 1, cv2.FILLED)
+        for leg in x + wide * np.array([-0.8, -0.5, 0.5, 0.8]):
+            end = round(leg + generator.normal(0, 0.08) * long), round(top + long)
+            cv2.line(inside, (round(leg), round(y)), end, 1, max(1, round(0.14 * long)))
+    else:
+        down = ankles - hips
+        across = np.array([-down[1], down[0]])
+        waist, middle, hem = generator.uniform([0.15, 0.2, 0.3], [0.3, 0.7, 1.0])
+        ends = (-0.15, waist), (0.35, middle), (generator.uniform(0.6, 1.15), hem)
+        sides = [[hips + at * down + side * out * across for at, out in ends] for side in (-1, 1)]
+        skirt = np.array(sides[0] + sides[1][::-1])
+        cv2.fillPoly(inside, [skirt.round().astype(np.int32)], 1)
+        top = float(box[1] + box[3])  # It counts as a part of the body.
+    return inside, top
 
 
 def _covered_share(photograph: Photograph, shown: NDArray[np.bool_]) -> float:

@@ -1,5 +1,8 @@
 """Meshes, the rasteriser, rooms, cameras and development: what a picture must hold."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +13,9 @@ pytest.importorskip("numba")
 
 from scripts.training.render import furniture
 from scripts.training.render.cameras import sample_camera
+from scripts.training.render.cut_outs import inflated, read_cut_outs
 from scripts.training.render.development import develop
+from scripts.training.render.jointed import jointed_thing
 from scripts.training.render.materials import Materials
 from scripts.training.render.meshes import ellipsoid, wheel
 from scripts.training.render.raster import NOTHING, rasterise, vertex_normals
@@ -31,7 +36,7 @@ def test_normals_of_a_ball_point_outward_or_inward_alike() -> None:
 @given(SEEDS)
 def test_bodies_of_all_kinds_are_finite(seed: int) -> None:
     generator, materials = np.random.default_rng(seed), Materials()
-    makers = furniture.SUBJECTS + furniture.CLUTTER
+    makers = (*furniture.SUBJECTS, *furniture.CLUTTER, jointed_thing)
     mesh = makers[seed % len(makers)](materials, generator)
     assert np.isfinite(mesh.vertices).all()
     assert mesh.triangles.max() < len(mesh.vertices)
@@ -39,6 +44,25 @@ def test_bodies_of_all_kinds_are_finite(seed: int) -> None:
     assert mesh.vertices[:, 1].min() > -0.7 and np.abs(mesh.vertices).max() < 4
     wheel_at = wheel([0, 0.3, 0], [1, 0, 0], 0.3, 0.02, 0)
     assert np.isfinite(wheel_at.vertices).all()
+
+
+@given(SEEDS)
+def test_a_cut_out_becomes_a_body_of_its_shape_and_colours(seed: int) -> None:
+    picture = np.zeros((60, 90, 4), np.uint8)
+    picture[10:50, 20:80] = [0, 0, 255, 255]
+    materials = Materials()
+    body = inflated([picture], materials, np.random.default_rng(seed))
+    wide, high, deep = np.ptp(body.vertices, axis=0)
+    assert 1.4 < wide / high < 1.6 and deep < 1.4 * high
+    if len(materials.rows) != 2:
+        return  # In one cloth.
+    red, green, blue = materials.table()[0, :3]
+    assert red > 10 * max(green, blue)
+
+
+def test_a_folder_without_cut_outs_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=re.escape(str(tmp_path))):
+        read_cut_outs(tmp_path, held_out=False)
 
 
 def test_the_nearer_triangle_is_shown() -> None:
