@@ -131,13 +131,14 @@ class PersonReader:
             None if the window no longer shows the person.
         """
         alone = self.network.read(frame, window)
-        if seen is not None and not sides_exchanged(alone, seen.before):
-            keypoints, disagree = seen.on_landmarks(alone), False
-        else:
+        looks = seen is None or sides_exchanged(alone, seen.before)
+        if seen is None or looks:
             keypoints = self.keypoint_reader.read(frame, alone.landmarks.box())
-            found, disagree = replace(found, keypoints=keypoints), not agrees(alone, keypoints)
+            found = replace(found, keypoints=keypoints)
+        else:
+            keypoints = seen.on_landmarks(alone)
         reading = self._with_keypoints(alone, camera, keypoints)
-        if disagree or reading.trust.right < least_trust:
+        if (looks and not agrees(reading, keypoints)) or reading.trust.right < least_trust:
             reading = self.read(frame, camera, found, alone)
         return reading if reading.presence >= MIN_PRESENCE else None
 
