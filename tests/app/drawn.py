@@ -1,6 +1,7 @@
 """Drawn people, whom a detector and a reader find by their colour, and sessions that see them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from app.vision.judgement import JudgedReading
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Landmarks
 from index.store import PoseIndex
-from tests.app.painted import BLANK_PASS, Believing
+from tests.app.painted import BLANK_PASS, Believing, keypoints_on
 from tests.conftest import png
 
 ROWS, COLUMNS = 200, 320
@@ -71,9 +72,9 @@ class ColourReader:
         found: Detection,
         window: PersonWindow,
         least_trust: float,
-        seen: object = "look",
+        seen: object = None,
     ) -> JudgedReading | None:
-        self.looks += seen == "look"
+        self.looks += seen is None
         reading = self._in_window(frame, window)
         return reading if reading.presence > 0.5 and reading.drift < 0.35 else None
 
@@ -115,7 +116,7 @@ class ColourReader:
             BLANK_PASS,
             mask.astype(np.float32),
         )
-        return Believing().judge(reading)
+        return Believing().judge(replace(reading, keypoints=keypoints_on(reading)))
 
 
 def draw(

@@ -38,7 +38,7 @@ def candidates(toy_index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidate
 
 
 def test_the_less_likely_become_farther(ranking: NetworkRanking, candidates: Candidates) -> None:
-    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
+    modes = find_modes(candidates, candidate_weights(candidates.distances), 5, candidates.offsets)
     ordered, distances = ranking.order(modes, 5)
     assert distances.tolist() == sorted(distances)
     longer, likelihoods = distances / ordered.distances, ranking.log_likelihood(ordered)
@@ -59,7 +59,7 @@ def test_support_is_one_for_the_likeliest_candidate(
 def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
     ranking: NetworkRanking, candidates: Candidates
 ) -> None:
-    modes = find_modes(candidates, candidate_weights(candidates.distances), 5)
+    modes = find_modes(candidates, candidate_weights(candidates.distances), 5, candidates.offsets)
     fitted = ranking.fit(modes)
     assert (ranking.log_likelihood(fitted) > ranking.log_likelihood(modes)).all()
     for before, after in zip(modes.points_3d, fitted.points_3d, strict=True):
