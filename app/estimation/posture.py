@@ -100,12 +100,13 @@ class PostureFilter:
         frame_posture: FramePosture | None,
         presence: float,
         box: Box,
+        weight: float = 1.0,
     ) -> tuple[EstimatedPosture, NDArray[np.float64]]:
         """Add a frame; return the track's posture, and the shares ``(10,)`` of this frame alone.
 
         The votes ``(10,)`` are those of the hypotheses or, without landmarks, the frame's shares;
         ``frame_posture`` is from the landmarks, if any were read. ``presence`` is the probability
-        that the landmarks are a person's.
+        that the landmarks are a person's, ``weight`` the weight of the frame, 0 to 1.
         """
         shares = votes
         if frame_posture is not None:
@@ -119,7 +120,7 @@ class PostureFilter:
         if self._shares is None:
             self._shares, self._presence = shares, presence
         else:
-            elapsed = min(timestamp - self._last_at, _MAX_STEP_S)
+            elapsed = weight * min(timestamp - self._last_at, _MAX_STEP_S)
             kept = math.exp(-elapsed / _SETTLING_S)
             self._shares = kept * self._shares + (1 - kept) * shares
             self._presence = kept * self._presence + (1 - kept) * presence

@@ -47,6 +47,10 @@ _WINDOW_MEAN_S = 3.0
 # Without landmarks: the detector's score that is enough at once, and the number of sightings that
 # is always enough.
 _CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
+# Exponent of the probability that landmarks are right, in the weight of a frame's posture. On
+# held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
+# 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
+_RELIABILITY_EXPONENT = 0.25
 # Time in which a person lost while falling comes to rest.
 _COMES_TO_REST_S = 2.0
 # Time without a change after which the picture of a person may show a statue or a poster.
@@ -240,6 +244,7 @@ class Track:
             person.frame_posture,
             1.0 if person.presence is None else person.presence,
             person.whole_box,
+            _weight(person),
         )
         posture = self._posture if person.landmarks is not None else None
         self._action = self._recogniser.update(sample, person, posture)
@@ -336,16 +341,17 @@ def _vote_of(skeleton: NDArray[np.float64], motion: Motion) -> NDArray[np.float6
     return vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
 
 
-def _reliability(person: Person, confidence: float) -> float:
-    """Weight of a frame in events.
-
-    It is the probability that the window shows the person and that the landmarks are right, or the
-    box alone shows the posture; without landmarks, the confidence of the pose.
-    """
-    if person.presence is None:
-        return confidence
+def _weight(person: Person) -> float:
+    """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
+    presence = 1.0 if person.presence is None else person.presence
     right = 1.0 if person.trust is None else person.trust.right
-    return person.presence * (1 - person.presence * (1 - right))
+    right = math.pow(right, _RELIABILITY_EXPONENT)
+    return 1 - presence * (1 - right)
+
+
+def _reliability(person: Person, confidence: float) -> float:
+    """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
+    return confidence if person.presence is None else _weight(person) * person.presence
 
 
 def _observation(

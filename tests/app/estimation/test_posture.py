@@ -126,6 +126,14 @@ def test_where_the_network_sees_no_person_the_box_decides(box: Box, lies: bool) 
     assert shares.sum() == pytest.approx(1)
 
 
+def test_unreliable_frames_hardly_change_the_posture() -> None:
+    postures = PostureFilter()
+    postures.update(0.0, votes("lying"), None, 1.0, WIDE)
+    for frame in range(1, 11):
+        posture, _ = postures.update(frame / 10, votes("standing"), None, 1.0, NARROW, 0.1)
+    assert posture.label == "lying"
+
+
 def test_landmarks_decide_and_votes_where_there_are_none() -> None:
     seen, voted = frame_posture(sitting=0.7, standing=0.3), votes("walking")
     with_landmarks, shares = PostureFilter().update(0.0, voted, seen, 1.0, NARROW)

@@ -153,19 +153,22 @@ def test_who_looks_the_same_for_ten_minutes_is_marked_whoever_passes_before_them
     assert bare.update(person, 900.0, frame=frame)[0].still_s is None
 
 
-@pytest.mark.parametrize("right", [0.02, 0.9])
-def test_lying_begins_where_landmarks_are_right(right: float) -> None:
-    lying = FramePosture(np.eye(6)[5])
-    person = replace(person_of([seen_from(0.0)], [0.9]), frame_posture=lying, presence=0.99,
-                     trust=Trust(0.99, right))  # fmt: skip
-    track, begun = track_of(person), []
+@pytest.mark.parametrize("doubtful", ["landmarks", "nothing"])
+def test_a_frame_whose_landmarks_are_doubtful_changes_the_posture_less(doubtful: str) -> None:
+    trust = Trust(0.99, 0.01 if doubtful == "landmarks" else 0.98)
+    upright, lying = (FramePosture(np.eye(6)[row]) for row in (0, 5))
+    person = replace(person_of([seen_from(0.0)], [0.9]), frame_posture=upright, presence=0.99,
+                     trust=Trust(0.99, 0.98))  # fmt: skip
+    track = track_of(person)
     track.confirm(1, 0.0, [])
-    for timestamp in np.arange(0.0, 3.0, 0.2).tolist():
-        track.see(person, timestamp)
-        tracked, events = track.update(person, timestamp, frame=FRAME)
-        begun += [event for event in events if event.event == "lying"]
-    assert tracked.posture is not None and tracked.posture.label == "lying"
-    assert bool(begun) == (right > 0.5)
+    track.update(person, 0.0, frame=FRAME)
+    low = replace(person, frame_posture=lying, trust=trust)
+    track.see(low, 0.2)
+    tracked, _ = track.update(low, 0.2, frame=FRAME)
+    assert tracked.posture is not None
+    share = tracked.posture.share(["lying", "crawling"])
+    kept = np.exp(-0.2 / 0.4 * (0.01**0.25 if doubtful == "landmarks" else 0.98**0.25))
+    assert share == pytest.approx(1 - kept, abs=0.02)
 
 
 def falling_unseen() -> tuple[Track, NDArray[np.uint8]]:
