@@ -212,7 +212,7 @@ class TrackedPerson(Person):
     )
     on_floor: Score | None = Field(
         default=None,
-        description="Probability that a person who lies does so on the floor, rather than on a bed "
+        description="Probability that a lying person is on the floor, rather than on a bed "
         "or a sofa. Null for others, where neither reaches 0.8, and until the camera has seen "
         "people who stand.",
         examples=[None],

@@ -51,8 +51,6 @@ _ALLOWED = (
     ("rt_sigprocmask", 14, 135), ("rt_sigreturn", 15, 139), ("exit", 60, 93),
     ("exit_group", 231, 94), ("setitimer", 38, 103),
 )  # fmt: skip
-
-
 # Those that a stream needs besides, to reach a camera by its number.
 _NETWORK = (
     ("socket", 41, 198), ("connect", 42, 203), ("bind", 49, 200), ("sendto", 44, 206),
@@ -61,7 +59,6 @@ _NETWORK = (
     ("getpeername", 52, 205), ("poll", 7, 73), ("ppoll", 271, 73), ("fcntl", 72, 25),
     ("nanosleep", 35, 101), ("clock_nanosleep", 230, 115),
 )  # fmt: skip
-
 
 UNDESCRIBED = "one that the decoder does not describe"
 

@@ -1,4 +1,4 @@
-"""The floor of a camera's view, learnt from people who stand in it, and who lies on it.
+"""The floor of a camera's view, learnt from people who stand on it, and whether others lie on it.
 
 Where feet and heads of people of about the same height appear shows how high the camera hangs, how
 it is tilted and how wide it sees. A body is as far away as its size in the picture says: on a bed,
@@ -23,8 +23,8 @@ _EARS, _SHOULDERS, _HIPS, _, _ANKLES = _PARTS
 # Of the five parts, the lowest show what a body lies on: people also raise their heads and knees.
 _LOWEST = 3
 
-# Who stands and is seen whole: least probabilities of the posture and of right landmarks, least
-# visibility of ears and ankles.
+# Standing people who are seen from head to foot: least probabilities of the posture and of right
+# landmarks, least visibility of ears and ankles.
 _STANDS_FROM, _RIGHT_FROM, _SEEN_FROM = 0.8, 0.3, 0.5
 # A sighting replaces the oldest of so many of the same person within so many of their heights, so
 # that those who stand still do not outweigh those who walk; beyond so many of all people, it

@@ -118,7 +118,7 @@ class TrackedPeopleDetector:
     def half_suffices(self, shape: tuple[int, ...], tracks: Sequence[Track]) -> bool:
         """Whether half the size of a frame shows all that a search and the tracks need.
 
-        If it shows somebody new who is small, all of the frame is decoded besides.
+        For a small person who is new, all of the frame is decoded as well.
         """
         windows = [track.next_window for track in tracks]
         are_large = all(one is not None and HALF * one.side >= LANDMARK_PX for one in windows)

@@ -73,7 +73,7 @@ class TrackedPerson(Person):
     second, and no action before enough frames or if no action is likely. ``caller_track_id`` is the
     caller's own identity for the person's box, if given. ``still_s`` is the time for which the
     person has looked the same, once it is so long that the person may be a statue or a poster.
-    ``on_floor`` is the probability that a person who lies does so on the floor; None while that is
+    ``on_floor`` is the probability that a lying person is on the floor; None while that is
     not known.
     """
 

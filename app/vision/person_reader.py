@@ -131,14 +131,15 @@ class PersonReader:
             None if the window no longer shows the person.
         """
         alone = self.network.read(frame, window)
-        looks = seen is None or sides_exchanged(alone, seen.before)
-        if seen is None or looks:
-            keypoints = self.keypoint_reader.read(frame, alone.landmarks.box())
-            found = replace(found, keypoints=keypoints)
+        if seen is None or sides_exchanged(alone, seen.before):
+            looked = self.keypoint_reader.read(frame, alone.landmarks.box())
+            found = replace(found, keypoints=looked)
+            reading = self._with_keypoints(alone, camera, looked)
+            is_doubtful = not agrees(reading, looked)
         else:
-            keypoints = seen.on_landmarks(alone)
-        reading = self._with_keypoints(alone, camera, keypoints)
-        if (looks and not agrees(reading, keypoints)) or reading.trust.right < least_trust:
+            reading = self._with_keypoints(alone, camera, seen.on_landmarks(alone))
+            is_doubtful = False
+        if is_doubtful or reading.trust.right < least_trust:
             reading = self.read(frame, camera, found, alone)
         return reading if reading.presence >= MIN_PRESENCE else None
 

@@ -21,6 +21,7 @@ from scipy.optimize import minimize
 from torch import nn
 
 from app.estimation.posture import LANDMARK_GROUPS
+from app.vision.judgement import FRAME_POSTURES
 from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
@@ -55,7 +56,7 @@ PRIOR = np.array([0.5, 0.07, 0.07, 0.05, 0.12, 0.05, 0.14])
 
 MADE = {"standing": 600, "bending": 1500, "crouching": 3600, "sitting": 1800, "all_fours": 1300,
         "lying": 1200}  # fmt: skip
-"""Poses to make of each of ``LANDMARK_GROUPS``; others, by their joints, are left out."""
+"""Poses to make of each of :data:`FRAME_POSTURES`; others, by their joints, are left out."""
 
 _MADE_SHARE, _MADE_UPRIGHT_SHARE = 0.5, 0.15
 """Shares of made poses in what is learned of a kind."""
@@ -151,7 +152,7 @@ def made_poses(
     kinds = np.where(
         seated, SILHOUETTE_GROUPS.names.index("sitting"), SILHOUETTE_GROUPS.of[postures]
     )
-    asked = np.array([LANDMARK_GROUPS.names.index(name) for name in names])
+    asked = np.array([FRAME_POSTURES.index(name) for name in names])
     wanted = np.zeros((len(LANDMARK_GROUPS), len(SILHOUETTE_GROUPS)), bool)
     wanted[LANDMARK_GROUPS.of, SILHOUETTE_GROUPS.of] = True
     right = np.repeat(wanted[asked, kinds], _VIEWS)

@@ -13,6 +13,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from app.estimation.posture import LANDMARK_GROUPS
+from app.vision.judgement import FRAME_POSTURES
 from index.posture import classify_postures
 from index.skeleton import BODY_UP, JOINT_NAMES, JOINTS
 from scripts.index.body import Avatar, turned_to_front
@@ -37,7 +38,7 @@ REACHING_DOWN_ABOVE = 0.65
 
 
 def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Positions in ``LANDMARK_GROUPS`` of skeletons ``(N, P, 3)`` in body axes."""
+    """Positions in :data:`FRAME_POSTURES` of skeletons ``(N, P, 3)`` in body axes."""
     classes = LANDMARK_GROUPS.of[classify_postures(joints, BODY_UP)]
     pelvis, hip, knee, ankle = (
         joints[:, JOINT_NAMES.index(name)]
@@ -45,17 +46,17 @@ def classes_of(joints: NDArray[np.floating]) -> NDArray[np.int64]:
     )
     leg = np.linalg.norm(hip - knee, axis=1) + np.linalg.norm(knee - ankle, axis=1)
     high = pelvis[:, 1] - joints[:, :JOINTS, 1].min(axis=1) > REACHING_DOWN_ABOVE * leg
-    bent = high & (classes == LANDMARK_GROUPS.names.index("all_fours"))
-    return np.where(bent, LANDMARK_GROUPS.names.index("bending"), classes)
+    bent = high & (classes == FRAME_POSTURES.index("all_fours"))
+    return np.where(bent, FRAME_POSTURES.index("bending"), classes)
 
 
 def class_of(pose: Pose, joints: NDArray[np.floating]) -> int:
-    """Position in ``LANDMARK_GROUPS`` of a pose whose joints ``(P, 3)`` are in body axes."""
+    """Position in :data:`FRAME_POSTURES` of a pose whose joints ``(P, 3)`` are in body axes."""
     if pose.posture is not None:
-        return LANDMARK_GROUPS.names.index(pose.posture)
+        return FRAME_POSTURES.index(pose.posture)
     found = int(classes_of(joints[None])[0])
-    leans = pose.support == "seat" and LANDMARK_GROUPS.names[found] in ("bending", "crouching")
-    return LANDMARK_GROUPS.names.index("sitting") if leans or pose.support == "cycle" else found
+    leans = pose.support == "seat" and FRAME_POSTURES[found] in ("bending", "crouching")
+    return FRAME_POSTURES.index("sitting") if leans or pose.support == "cycle" else found
 
 
 @dataclass
@@ -94,8 +95,8 @@ class PoseSource:
 
     def draw(self, name: str, generator: Generator) -> Pose:
         """A pose that is meant to be of a class: recorded, or made."""
-        wanted = LANDMARK_GROUPS.names.index(name)
-        standing = LANDMARK_GROUPS.names.index("standing")
+        wanted = FRAME_POSTURES.index(name)
+        standing = FRAME_POSTURES.index("standing")
         if name == "lying" and generator.random() < self.fallen:
             return self.fallen_pose(int(generator.integers(FALLEN_POSES)), generator)
         if name in UNRECORDED and generator.random() < self.unrecorded:
@@ -105,7 +106,7 @@ class PoseSource:
         base = standing
         if name == "lying" and generator.random() < 0.5:
             base = int(
-                generator.choice([LANDMARK_GROUPS.names.index(c) for c in ("sitting", "crouching")])
+                generator.choice([FRAME_POSTURES.index(c) for c in ("sitting", "crouching")])
             )
         pose = self.recorded(base if made and self.has(base) else standing if made else wanted,
                              generator)  # fmt: skip
@@ -120,7 +121,7 @@ class PoseSource:
 
     def made(self, make: Maker, generator: Generator) -> Pose:
         """A recorded pose of a person with straight legs and hanging arms, made into another."""
-        standing = LANDMARK_GROUPS.names.index("standing")
+        standing = FRAME_POSTURES.index("standing")
         pose = self.recorded(standing, generator)
         for _ in range(200):
             if pose.hangs:

@@ -98,9 +98,6 @@ def _covered(
     begins = level - float(np.dot(pivot, direction))
     deep = size * (generator.uniform(0.5, 2.0) if generator.random() < 0.5 else 9.0)
     inside = (reach >= begins) & (reach < begins + deep)
-    inside = cv2.GaussianBlur(inside.astype(np.float32), (0, 0), generator.uniform(0.3, 1.2))
-    thing = _thing(image, generator).astype(np.float32)
-    mixed = image + inside[..., None] * (thing - image)
     box = photograph.box.copy()
     if direction[0] + direction[1] > 0:
         end = np.minimum(box[:2] + box[2:], np.where(direction, level, np.inf))
@@ -108,13 +105,7 @@ def _covered(
     else:
         begin = np.maximum(box[:2], np.where(direction, -level, -np.inf))
         box = np.concatenate([begin, np.maximum(box[:2] + box[2:] - begin, 1.0)])
-    return replace(
-        photograph,
-        image=np.clip(mixed, 0, 255).astype(np.uint8),
-        box=box,
-        shown=shown,
-        covered=_covered_share(photograph, shown),
-    )
+    return _with_thing(photograph, inside.astype(np.float32), box, shown, generator)
 
 
 def _behind_a_thing(photograph: Photograph, generator: Generator) -> Photograph:
@@ -126,10 +117,22 @@ def _behind_a_thing(photograph: Photograph, generator: Generator) -> Photograph:
     shown = photograph.shown & (inside[y, x] == 0)
     if not _MIN_SHOWN <= shown.sum() < photograph.shown.sum():
         return photograph
-    soft = cv2.GaussianBlur(inside, (0, 0), generator.uniform(0.3, 1.2))
-    mixed = image + soft[..., None] * (_thing(image, generator).astype(np.float32) - image)
     if not shown[_KNEES + _ANKLES].any():
         box[3] = max(top, float(photograph.places[shown, 1].max())) - box[1]
+    return _with_thing(photograph, inside, box, shown, generator)
+
+
+def _with_thing(
+    photograph: Photograph,
+    inside: NDArray[np.float32],
+    box: NDArray[np.float64],
+    shown: NDArray[np.bool_],
+    generator: Generator,
+) -> Photograph:
+    """The photograph with a thing where ``inside`` ``(H, W)`` is 1; what it leaves to see."""
+    image = photograph.image
+    soft = cv2.GaussianBlur(inside, (0, 0), generator.uniform(0.3, 1.2))
+    mixed = image + soft[..., None] * (_thing(image, generator).astype(np.float32) - image)
     return replace(
         photograph,
         image=np.clip(mixed, 0, 255).astype(np.uint8),
