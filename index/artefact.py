@@ -6,13 +6,11 @@ that reads postures from its hidden layer. Without it, hypotheses are ordered by
 """
 
 import hashlib
-import io
 import json
 import lzma
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from threading import Lock
 from typing import Any, cast
 from zipfile import BadZipFile
 
@@ -22,6 +20,7 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import restore
 from index import DEFAULT_PATH
+from index.arrays import load_array, load_arrays
 from index.confidence import RERANKING_FEATURES, Calibration
 from index.network import JointNetwork
 from index.reranking import RankingModel
@@ -40,10 +39,6 @@ SILHOUETTES = "silhouettes.npy"
 RERANKING_FORMAT_VERSION = 2
 RERANKING_JSON, RERANKING_NPZ = "reranking.json", "reranking.npz"
 POSTURES_NPZ = "postures.npz"
-
-_PARSING = Lock()
-"""NumPy parses a header with :func:`ast.literal_eval`, which is not thread-safe in Python 3.11:
-https://github.com/python/cpython/issues/106905."""
 
 
 class ArtefactError(ValueError):
@@ -125,9 +120,7 @@ def load_reranker(folder: Path) -> RankingModel | None:
             raise ArtefactError(
                 f"{file} has format {version}, this service reads format {RERANKING_FORMAT_VERSION}"
             )
-        content = io.BytesIO(_read_bytes(weights, manifest["sha256"]))
-        with np.load(content, allow_pickle=False) as arrays:
-            network = JointNetwork.restore(arrays)
+        network = JointNetwork.restore(load_arrays(_read_bytes(weights, manifest["sha256"])))
         columns, rows, depths = (float(value) for value in manifest["spread"])
         if not min(columns, rows, depths) >= 0:
             raise ValueError(f"expected a spread of 0 or more, got {manifest['spread']}")
@@ -150,8 +143,7 @@ def _load_postures(file: Path, network_sha256: str) -> PostureNetwork | None:
     """Read the posture network beside a re-ranking network; None if there is none."""
     if not file.exists():
         return None
-    with np.load(file, allow_pickle=False) as stored:
-        arrays = dict(stored)
+    arrays = load_arrays(file)
     if str(arrays["network_sha256"]) != network_sha256:
         raise ArtefactError(
             f"{file} was trained for another network: `python -m scripts train-silhouette-postures`"
@@ -235,8 +227,7 @@ def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
     """
     content = _read_bytes(file, sha256)
     try:
-        with _PARSING:
-            return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
+        return load_array(content)
     except (ValueError, EOFError) as error:
         raise ArtefactError(f"{file} is no array: {error}") from error
 

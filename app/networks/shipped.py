@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
-import numpy as np
 from numpy.typing import NDArray
+
+from index.arrays import load_arrays
 
 FOLDER = Path(__file__).parent / "models"
 LIST = FOLDER / "models.json"
@@ -63,9 +64,8 @@ def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
         If the file is missing or holds something else.
     """
     try:
-        with np.load(path) as stored:
-            return dict(stored)
-    except (OSError, ValueError, BadZipFile) as error:
+        return load_arrays(path)
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
         raise NetworkError(f"cannot read the arrays in {path}: {error}") from error
 
 

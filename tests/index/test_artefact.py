@@ -21,6 +21,7 @@ from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
 from index import DEFAULT_PATH
+from index.arrays import load_arrays
 from index.artefact import (
     FORMAT_VERSION,
     RERANKING_JSON,
@@ -258,3 +259,16 @@ def test_many_threads_read_at_once(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as pool:
         for read in pool.map(lambda _: read_array(file, sha256), range(100)):
             assert_array_equal(read, array)
+
+
+@pytest.mark.usefixtures("threads_take_turns_often")
+def test_indexes_and_networks_are_read_at_once(tmp_path: Path) -> None:
+    array = np.arange(32, dtype=np.uint8)
+    file, sha256 = written(tmp_path, array, compressed=False)
+    network = tmp_path / "network.npz"
+    np.savez(network, weights=array)
+    with ThreadPoolExecutor(8) as pool:
+        entries = [pool.submit(read_array, file, sha256) for _ in range(50)]
+        networks = [pool.submit(load_arrays, network) for _ in range(50)]
+    assert all(np.array_equal(read.result(), array) for read in entries)
+    assert all(np.array_equal(read.result()["weights"], array) for read in networks)
