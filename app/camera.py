@@ -27,7 +27,7 @@ from app.vision.halved import Frame
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
-from app.vision.truncation import ends_at_border
+from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 130_000
@@ -390,8 +390,8 @@ class CameraSession:
             place, named = track.box_filter.seen, track.track_id is not None
             hidden = named and hidden_box(track, self._tracks, frame.shape, timestamp) is not None
             track.hidden |= hidden
-            # Found by the detector, and last seen away from the border.
-            vanished = track.next_window is not None and not ends_at_border(place, frame.shape)
+            # Found by the detector, and last seen where nobody leaves the frame.
+            vanished = track.next_window is not None and not may_have_left(place, frame.shape)
             predicted = hidden or (named and vanished)
             longest = PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
             if timestamp - track.seen_at > longest:

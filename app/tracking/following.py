@@ -32,7 +32,7 @@ from app.vision.images import reduced_grey
 from app.vision.judgement import JudgedReading
 from app.vision.people import Detection
 from app.vision.same_person import is_expected
-from app.vision.truncation import ends_at_border
+from app.vision.truncation import may_have_left
 
 SEARCH_EVERY_S = 0.4
 """Time between two searches of the whole frame while it changes around the tracked people."""
@@ -183,7 +183,7 @@ class TrackedPeopleDetector:
         """
         places = {track: track.box_filter.predict(timestamp) for track in expected}
         known = [box for track, box in places.items() if track.track_id is not None]
-        lost_at = [track.box_filter.seen for track in lost]
+        lost_at = [track.box_filter.seen for track in lost if track not in places]
         people, beside = self._finder.search(frame, job, lost_at, known)
         self._searched_at, self._left_out = timestamp, job.left_out
         self._scene.restart()
@@ -279,7 +279,7 @@ def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
 
     It cannot if the person has left the frame, or was hardly visible behind others.
     """
-    return not (track.beside or ends_at_border(track.box_filter.seen, frame_shape))
+    return not (track.beside or may_have_left(track.box_filter.seen, frame_shape))
 
 
 # Height of the smallest wanted person in the small pictures that are compared, and the longest side

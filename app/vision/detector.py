@@ -79,8 +79,9 @@ class NetworkDetector:
         """Find the people of a frame ``(H, W, 3)``, BGR, and possible people beside them.
 
         ``expected_boxes`` surround people who were visible a moment ago and have not left the
-        frame; ``known_boxes`` surround people who need no comparison with other objects. The
-        smallest person wanted is ``min_person_px`` high, by default a share of the frame's height.
+        frame; ``known_boxes`` surround tracked people, who are expected as well and need no
+        comparison with other objects. The smallest person wanted is ``min_person_px`` high, by
+        default a share of the frame's height.
 
         Returns
         -------
@@ -93,7 +94,7 @@ class NetworkDetector:
         people, scores, others = self.candidates(frame, min_person_px)
         odds = detection_odds(scores)
         self._compare_with_objects(frame, people, odds, known_boxes)
-        _raise_expected(people, odds, expected_boxes)
+        _raise_expected(people, odds, (*expected_boxes, *known_boxes))
         judged = [
             replace(one, score=score)
             for one, score in zip(people, sigmoid(odds).tolist(), strict=True)

@@ -30,6 +30,15 @@ def ends_at_border(box: Box, frame_shape: tuple[int, ...]) -> bool:
     return min(gaps_to_border(box, frame_shape)) <= reach
 
 
+def may_have_left(box: Box, frame_shape: tuple[int, ...]) -> bool:
+    """Whether a person last seen in a box may have left the frame.
+
+    The lower edge cuts many who stand near the camera, and those who fall there stay.
+    """
+    left, top, right, _ = gaps_to_border(box, frame_shape)
+    return min(left, top, right) <= _BOX_SHARE * max(box.width, box.height)
+
+
 def extended_to_border(box: Box, frame_shape: tuple[int, ...]) -> Box:
     """A box within the frame, extended to the edges at which it may be cut."""
     height, width = frame_shape[:2]

@@ -145,8 +145,8 @@ def test_objects_decide_about_doubtful_people(
     odds = logit_of(found[0].score) if found else -math.inf
     assert np.sign(round(odds - 1 - logit_of(probability(score)), 6)) == change
     assert objects.asked == (0.2 <= probability(score) < 0.8)
-    # Nor is anybody compared who is known, wherever they are a little later.
-    ((known,), _) = detector.detect(BLANK, [LEFT], [Box(60, 35, 60, 150)])
+    # Nor is anybody compared who is known, and so expected, wherever they are a little later.
+    ((known,), _) = detector.detect(BLANK, (), [Box(60, 35, 60, 150)])
     assert logit_of(known.score) - 1 == pytest.approx(logit_of(probability(score)))
 
 
@@ -158,7 +158,7 @@ def test_the_likeliest_within_reach_of_the_expected_person_is_likelier(
     scores = [score_of(0.4), score_of(0.5), score_of(0.6)]
     detector = told(*map(Detection, places, scores))
     before, after = (
-        {one.box: one.score for one in detector.detect(BLANK, expected, places)[0]}
+        {one.box: one.score for one in detector.detect(BLANK, expected)[0]}
         for expected in ((), [Box(50, 60, 60, 160)])
     )
     # The first two show one person; the first is kept.

@@ -24,6 +24,7 @@ from app.vision.truncation import (
     ends_at_border,
     extended_to_border,
     hidden_by_others,
+    may_have_left,
     touches_border,
     with_truncation,
 )
@@ -70,6 +71,7 @@ def test_a_box_goes_on_to_the_edges_that_are_nearer_than_a_twentieth_of_it(
         expected = edge if gap <= reach else getattr(inside, side)
         assert getattr(whole, side) == pytest.approx(expected, abs=1e-9)
     assert ends_at_border(inside, (200, 300, 3)) == (min(gaps) <= reach)
+    assert may_have_left(inside, (200, 300, 3)) == (min(gaps[:3]) <= reach)
 
 
 def test_unseen_head_or_feet_lie_beyond_the_edge() -> None:
