@@ -98,12 +98,7 @@ def report_section(section: str, command: str, figures: Figures, out: Path | Non
 
 
 def _origin(command: str) -> dict[str, str]:
-    return {
-        "command": command,
-        "revision": revision(),
-        "date": date(),
-        "machine": machine(),
-    }
+    return {"command": command, "revision": revision(), "date": date(), "machine": machine()}
 
 
 def render(file: Path) -> str:

@@ -36,10 +36,7 @@ def estimate(
 
 
 def track(
-    session: CameraSession,
-    frame: NDArray[np.uint8],
-    timestamp: float,
-    n: int = DEFAULT_HYPOTHESES,
+    session: CameraSession, frame: NDArray[np.uint8], timestamp: float, n: int = DEFAULT_HYPOTHESES
 ) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
     return session.process(Upload(encoded(frame)), timestamp, n, Job())

@@ -13,14 +13,7 @@ import pytest
 
 from app.photograph import Estimator
 from scripts.datasets import read_frames, read_lsp, read_pose2sim_joints
-from scripts.experiments.people import (
-    TRUNK_TILTS,
-    error_mm,
-    fallen,
-    generous_box,
-    is_low,
-    sport,
-)
+from scripts.experiments.people import TRUNK_TILTS, error_mm, fallen, generous_box, is_low, sport
 from scripts.helpers import encoded, estimate
 from tests.conftest import SHARED
 

@@ -210,7 +210,7 @@ def fit(shared: Path) -> None:
     kept, _ = hold_out(read_manifest(shared / "mocap"))
     known, asked = split_by_clip(kept, position=TUNING_POSITION)
     index: PoseIndex = build(
-        IndexSpec("tuning", shared / "mocap", shared / "garments", segments=tuple(known)),
+        IndexSpec("tuning", shared / "mocap", shared / "garments", segments=tuple(known))
     )
     features, right = [], []
     for filmed in tqdm(film_segments(shared, asked, CALIBRATION_AVATARS, TUNING_VIEWS)):

@@ -18,14 +18,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.networks.shipped import FOLDER, read_arrays
-from app.tracking.falls import (
-    COLUMNS,
-    MEMORIES,
-    WINDOW_S,
-    FallModel,
-    FallReport,
-    window_features,
-)
+from app.tracking.falls import COLUMNS, MEMORIES, WINDOW_S, FallModel, FallReport, window_features
 from scripts.index.builder import HELD_OUT_AVATARS
 from scripts.index.garments import make_avatars
 from scripts.results import ROOT

@@ -82,11 +82,7 @@ class TrainingConfig:
 _FINISHING_SHARE = 0.2
 
 
-def train_reranker(
-    index: PoseIndex,
-    spec: IndexSpec,
-    config: TrainingConfig,
-) -> RankingModel:
+def train_reranker(index: PoseIndex, spec: IndexSpec, config: TrainingConfig) -> RankingModel:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
     At first the network does not see some clips; the confidence is fitted on what the index,
@@ -149,11 +145,7 @@ def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> 
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 
-def calibrated(
-    index: PoseIndex,
-    network: JointNetwork,
-    queries: Queries,
-) -> RankingModel:
+def calibrated(index: PoseIndex, network: JointNetwork, queries: Queries) -> RankingModel:
     """A network with the confidence that is fitted to its ranking of an index's answers."""
     asked = replace(index, reranker=RankingModel.of(network))
     calibration = calibrate(asked, queries, RERANKING_FEATURES)

@@ -70,9 +70,7 @@ def test_a_misspelt_setting_is_refused_with_a_suggestion(
         read_settings()
 
 
-def test_kubernetes_service_variables_are_no_settings(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_kubernetes_service_variables_are_no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("POSE_SERVICE_HOST", "10.0.0.7")
     monkeypatch.setenv("POSE_SERVICE_PORT_HTTP", "8000")
     monkeypatch.setenv("POSE_PORT", "tcp://10.0.0.7:8000")

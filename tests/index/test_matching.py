@@ -8,12 +8,7 @@ from numpy.typing import NDArray
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
 from index.landmark_matching import match_landmarks
-from index.matching import (
-    DEFAULT_HYPOTHESES,
-    MIN_NEW_POSE_M,
-    Match,
-    PoseHypothesis,
-)
+from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis
 from index.modes import DISTINCT_M
 from index.silhouette_matching import match_silhouette
 from index.skeleton import (

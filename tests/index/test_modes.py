@@ -11,14 +11,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates
-from index.modes import (
-    DISTINCT_M,
-    DepthModes,
-    Modes,
-    candidate_weights,
-    depth_modes,
-    find_modes,
-)
+from index.modes import DISTINCT_M, DepthModes, Modes, candidate_weights, depth_modes, find_modes
 from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of

@@ -13,13 +13,7 @@ from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoo
 from app.vision.people import Landmarks, Silhouette
 from index.facing import azimuth_deg
 from index.posture import POSTURES
-from index.skeleton import (
-    POINT_NAMES,
-    POINTS,
-    bone_lengths,
-    mean_joint_distance,
-    wrap_degrees,
-)
+from index.skeleton import POINT_NAMES, POINTS, bone_lengths, mean_joint_distance, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 
 ELEVATION_DEG = 20.0

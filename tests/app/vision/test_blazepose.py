@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.blazepose import (
-    LANDMARK_PX,
-    LandmarkNetwork,
-    MaskNetwork,
-)
+from app.vision.blazepose import LANDMARK_PX, LandmarkNetwork, MaskNetwork
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
 from tests.support.rotation import rotate_points

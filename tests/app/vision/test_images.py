@@ -12,13 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from app.vision.images import (
-    ImageError,
-    ImageTooLargeError,
-    Photograph,
-    blank_image,
-    decode_image,
-)
+from app.vision.images import ImageError, ImageTooLargeError, Photograph, blank_image, decode_image
 from app.vision.masks import decode_mask
 from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, tiff, with_orientation
 

@@ -6,12 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from index.skeleton import JOINTS, camera_rotation
 from index.store import PoseIndex
-from scripts.index.calibrate import (
-    Queries,
-    Trial,
-    expected_calibration_error,
-    run_trial,
-)
+from scripts.index.calibrate import Queries, Trial, expected_calibration_error, run_trial
 from scripts.index.simulate import Simulation
 from scripts.index.views import MAX_OWN_ROLL_DEG
 

@@ -15,13 +15,7 @@ from index.artefact import POSTURES_NPZ, ArtefactError, load_index
 from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
-from scripts.index.writer import (
-    compress,
-    halved,
-    save_index,
-    save_postures,
-    save_reranker,
-)
+from scripts.index.writer import compress, halved, save_index, save_postures, save_reranker
 from tests.index.helpers import contents, random_network, random_postures, seal
 from tests.support.programs import run
 from tests.support.toy_indexes import FOLDER, INDEXES
