@@ -115,12 +115,6 @@ def test_inexact_box_is_widened_to_visible_limbs() -> None:
     assert (mask_of(same, SHAPE) == mask_of(exact, SHAPE)).all()
 
 
-def test_person_unseen_by_the_network_has_no_silhouette() -> None:
-    boxes = [Box(19.5, 29.5, 80, 180), Box(179.5, 29.5, 80, 180)]
-    found = silhouettes_of([painted(boxes[0], 0.1), painted(boxes[1])], boxes, SHAPE, exact=True)
-    assert found[0] is None and found[1] is not None
-
-
 @pytest.mark.parametrize(("gap", "is_cut"), [(0, True), (5, True), (14, False)])
 @pytest.mark.parametrize("edge", ["left", "top", "right", "bottom"])
 def test_box_just_short_of_the_frames_edge_is_extended_to_it(
