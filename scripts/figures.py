@@ -33,7 +33,7 @@ from index.posture import LOW, SILHOUETTE_GROUPS
 from scripts.results import RESULTS, ROOT, date, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
-RELIABILITY = ("cameras", "overload", "fuzz", "soak")
+RELIABILITY = ("cameras", "soak")
 """Measurements of a running server: each is a section of one page, and is repeated by itself."""
 
 NAMES = {

@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 40, 4
+LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 24, 4
 LSP_FLOORS = {
     "upright": (95.0, 72.0, 67.5),
     "horizontal": (95.0, 69.6, 60.0),

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts.load.expensive import (
+from tests.app.vision.encoded import encode
+from tests.conftest import Server, running_server
+from tests.support.expensive import (
     bmp,
     gif,
     interlaced_png,
@@ -20,8 +22,6 @@ from scripts.load.expensive import (
     tiff_tile,
     webp_animation,
 )
-from tests.app.vision.encoded import encode
-from tests.conftest import Server, running_server
 from tests.support.service import check_problem
 
 pytestmark = pytest.mark.skipif(

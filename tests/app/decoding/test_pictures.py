@@ -17,7 +17,8 @@ from PIL import Image
 from app.decoding.pictures import Allowance, Workers
 from app.vision.images import ImageError, ImageTooLargeError, decode_image, is_expensive
 from app.vision.masks import decode_mask
-from scripts.load.expensive import (
+from tests.app.vision.encoded import encode, quadrants, tiff
+from tests.support.expensive import (
     gif,
     tiff_circle,
     tiff_tags,
@@ -25,7 +26,6 @@ from scripts.load.expensive import (
     webp_animation,
     webp_codes,
 )
-from tests.app.vision.encoded import encode, quadrants, tiff
 
 MAX_PIXELS = 12_500_000
 
