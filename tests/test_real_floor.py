@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LSP_EACH, FALLS_EACH, FRAMES_EACH = 8, 24, 4
+LSP_EACH, FRAMES_EACH, FALLS = 8, 4, {"fall": 40, "not-fall": 16}
 LSP_FLOORS = {
     "upright": (95.0, 72.0, 67.5),
     "horizontal": (95.0, 69.6, 60.0),
@@ -52,9 +52,9 @@ def test_sports_photographs(shipped: Estimator, orientation: str) -> None:
     assert all(np.array(measured) >= LSP_FLOORS[orientation]), measured
 
 
-@pytest.mark.parametrize("kind", ["fall", "not-fall"])
+@pytest.mark.parametrize("kind", FALLS)
 def test_photographs_of_falls(shipped: Estimator, kind: str) -> None:
-    found = fallen(shipped, evenly(sorted((REAL / "falls" / kind).glob("*.jpg")), FALLS_EACH))
+    found = fallen(shipped, evenly(sorted((REAL / "falls" / kind).glob("*.jpg")), FALLS[kind]))
     assert found["found"] >= 95
     if kind == "fall":
         assert found["on_the_ground"] >= 75  # Measured: 82; 76 of all photographs.
