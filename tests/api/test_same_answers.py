@@ -34,7 +34,7 @@ WALKER_PX = 70
 """The three walkers of the street are taller, the two distant people smaller."""
 
 OTHER_SIDE = [NATIVE.names.index(other_side(name)) for name in NATIVE.names]
-PHOTOS = range(0, 96, 24)
+PHOTOS = (24, 72)
 
 
 def older_processor() -> dict[str, str]:
@@ -80,7 +80,7 @@ def persons(
     return sorted(answer, key=lambda person: person["box"]["x"])
 
 
-@pytest.mark.parametrize("sent", SENT)
+@pytest.mark.parametrize("sent", ["mask", "frame"])
 def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str) -> None:
     one, other = (persons(client, SENT[sent], n=14) for client in processors)
     assert one
@@ -127,8 +127,9 @@ def test_the_rounding_of_networks_changes_no_first_hypothesis(
         assert first() == before
 
 
-@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-@pytest.mark.parametrize("sent", SENT)
+@pytest.mark.parametrize(
+    ("sent", "evidence"), [("mask", "photograph"), ("both", "silhouette"), ("frame", "photograph")]
+)
 def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
     service: Client, sent: str, evidence: str
 ) -> None:
@@ -147,13 +148,10 @@ def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
             assert one["box"] == other["box"]
 
 
-@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
-    many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
+def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient) -> None:
+    many = persons(client, {"frame": STREET}, n=14)
     for n in (1, 7):
-        for few, person in zip(
-            persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
-        ):
+        for few, person in zip(persons(client, {"frame": STREET}, n=n), many, strict=True):
             # Nothing else depends on the count either.
             assert few == {**person, "hypotheses": person["hypotheses"][:n]}
 
@@ -174,7 +172,7 @@ def apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 # By the silhouette alone only rounding differs; the networks are only nearly symmetric.
 @pytest.mark.parametrize(
     ("sent", "heights", "metres"),
-    [("mask", 0.005, 0.01), ("both", 0.06, 0.15), ("frame", 0.06, 0.15)],
+    [("mask", 0.005, 0.01), ("frame", 0.06, 0.15)],
 )
 def test_a_mirrored_photograph_has_the_mirrored_answer(
     service: Client, sent: str, heights: float, metres: float
@@ -205,9 +203,7 @@ def test_a_mirrored_photograph_has_the_mirrored_answer(
 
 
 # A silhouette does not show which end is the head: upside down it has other poses.
-@pytest.mark.parametrize(
-    ("sent", "quarter_turns"), [("mask", 1), ("frame", 1), ("frame", 2), ("frame", 3)]
-)
+@pytest.mark.parametrize(("sent", "quarter_turns"), [("mask", 1), ("frame", 1), ("frame", 2)])
 def test_a_rotated_photograph_has_the_rotated_answer(
     service: Client, sent: str, quarter_turns: int
 ) -> None:

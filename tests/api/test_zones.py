@@ -26,7 +26,7 @@ def track(client: TestClient, photo: Photo, boxes: Any, **fields: str) -> dict[s
         "/cameras/yard/frames",
         files={"frame": photo.frame_png},
         data={"boxes": json.dumps(boxes), **fields},
-        params={"evidence": "silhouette"},
+        params={"evidence": "silhouette", "n": 1},
     )
     assert response.status_code == 200, response.text
     answer: dict[str, Any] = response.json()
