@@ -140,14 +140,6 @@ def test_another_size_or_a_long_gap_starts_afresh(
     assert send(session, time + 0.1, (0, 50), columns=columns).reset is None
 
 
-def test_a_cancelled_frame_loses_no_events(session: CameraSession) -> None:
-    with pytest.raises(DeadlineError):
-        session.process(Upload(draw((0, 50))), 0.0, 3, ShortJob(5), "silhouette")
-    result = send(session, 0.1, (0, 50))
-    assert ids(result) == [1]
-    assert events(result) == [("entered", 1)]
-
-
 @pytest.mark.parametrize("steps", range(1, 8))
 def test_a_frame_that_failed_half_way_may_be_sent_again(session: CameraSession, steps: int) -> None:
     for time in (0.0, 0.1, 0.2):

@@ -1,8 +1,6 @@
 """Writing an index: silhouettes compressed, a folder replaced whole or not at all."""
 
 import dataclasses
-import signal
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +8,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.descriptor import DiscriminantDescriptor
-from descriptor.silhouette import outline_distances, pack
+from descriptor.silhouette import outline_distances
 from index.artefact import POSTURES_NPZ, ArtefactError, load_index
 from index.reranking import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
-from scripts.index.writer import compress, halved, save_index, save_postures, save_reranker
+from scripts.index.writer import halved, save_index, save_postures, save_reranker
 from tests.index.helpers import contents, random_network, random_postures, seal
-from tests.support.programs import run
 from tests.support.toy_indexes import FOLDER, INDEXES
 
 
@@ -54,20 +51,6 @@ class TestRoundTrip:
         assert contents(tmp_path / "again") == contents(saved)
         assert load_index(saved).version == version
 
-    @pytest.mark.parametrize("field", ["name", "parameters", "vectors", "skeletons", "actions"])
-    def test_any_change_of_content_changes_the_version(
-        self, toy_index: PoseIndex, saved: Path, tmp_path: Path, field: str
-    ) -> None:
-        changed = {
-            "name": "other",
-            "parameters": {**toy_index.parameters, "seed": 8},
-            "vectors": ExactNeighbours(toy_index.vectors[:] + np.float32(1e-3)),
-            "skeletons": toy_index.skeletons + np.float16(0.01),
-            "actions": tuple(reversed(toy_index.actions)),
-        }[field]
-        other = dataclasses.replace(toy_index, **{field: changed})
-        assert save_index(other, tmp_path / "other") != load_index(saved).version
-
 
 def test_postures_lie_beside_the_network_that_they_read(
     saved: Path, reranker: RankingModel
@@ -90,18 +73,6 @@ def test_postures_lie_beside_the_network_that_they_read(
     (saved / POSTURES_NPZ).write_bytes(kept[:-40])
     with pytest.raises(ArtefactError, match="do not hold together"):
         load_index(saved)
-
-
-def test_an_index_is_saved_with_its_network(
-    toy_index: PoseIndex, saved: Path, reranker: RankingModel, tmp_path: Path
-) -> None:
-    save_reranker(reranker, saved)
-    save_index(dataclasses.replace(toy_index, reranker=reranker), tmp_path / "again")
-    assert contents(tmp_path / "again") == contents(saved)
-    back = load_index(saved).reranker
-    assert back is not None
-    assert (back.calibration, back.training) == (reranker.calibration, reranker.training)
-    assert_array_equal(back.network.layers[-1].offsets, reranker.network.layers[-1].offsets)
 
 
 def test_the_indexes_of_the_tests_are_those_that_their_command_writes() -> None:
@@ -192,44 +163,12 @@ class TestFailedSave:
         assert contents(saved) == before
         assert [p.name for p in saved.parent.iterdir()] == [saved.name]
 
-    def test_killed_while_writing_keeps_the_old_artefact(self, saved: Path) -> None:
-        # The manifest is written last: the process dies with every other file in place.
-        script = f"""
-import dataclasses, os, pathlib, signal
-from index.artefact import find_artefact, load_index
-from scripts.index.writer import save_index
-index = load_index({str(saved)!r})
-pathlib.Path.write_text = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-save_index(dataclasses.replace(index, name="newer"), {str(saved)!r})
-"""
-        before = contents(saved)
-        ended = run(sys.executable, "-c", script)
-        assert ended.returncode == -signal.SIGKILL
-        assert contents(saved) == before
-
 
 def _full_disk(*_: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-@pytest.fixture(scope="module")
-def noise() -> np.ndarray:
-    return pack(np.random.default_rng(0).integers(0, 2, (100, 128, 48), np.uint8))
-
-
 class TestHalved:
-    def test_each_stored_pixel_shows_what_most_of_four_do(self) -> None:
-        blocks = np.random.default_rng(0).integers(0, 2, (100, 64, 24), np.uint8)
-        whole = blocks.repeat(2, axis=1).repeat(2, axis=2)
-        one_off = whole.copy()
-        one_off[:, 1::2, 1::2] ^= 1
-        for silhouettes in (whole, one_off):
-            enlarged = halved(compress(pack(silhouettes))).take(np.arange(100))
-            # Enlarging changes at most one of four pixels.
-            shown = enlarged.reshape(100, 64, 2, 24, 2).sum(axis=(2, 4))
-            assert not (shown == 2).any()
-            assert_array_equal(shown > 2, blocks)
-
     def test_outlines_hardly_move_and_take_half_the_bytes(self, toy_index: PoseIndex) -> None:
         stored = toy_index.silhouette_store
         rows = np.arange(len(stored))
