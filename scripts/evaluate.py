@@ -8,7 +8,6 @@
     python -m scripts evaluate people       people who fall, sit, lie, lean or do sport
     python -m scripts evaluate photographs  what rendered people taught, on real frames by source
     python -m scripts evaluate films        all real films as camera sessions: falls, false alarms
-    python -m scripts evaluate tracking     people tracked over the frames of a fixed camera
 
 Without a name, all of them run.
 """
@@ -31,7 +30,6 @@ EXPERIMENTS = {
     "people": "people",
     "photographs": "photographs",
     "films": "films",
-    "tracking": "tracking",
 }
 """Page of each experiment. Its module in ``scripts.experiments`` is imported only when it runs; it
 has ``run(options)``, which returns figures, and may have ``add_arguments(parser)``."""

@@ -33,7 +33,7 @@ from index.posture import LOW, SILHOUETTE_GROUPS
 from scripts.results import RESULTS, ROOT, date, machine, revision
 
 TEMPLATES = Path(__file__).with_name("templates")
-RELIABILITY = ("cameras", "overload", "fuzz", "soak")
+RELIABILITY = ("cameras", "soak")
 """Measurements of a running server: each is a section of one page, and is repeated by itself."""
 
 NAMES = {
@@ -98,12 +98,7 @@ def report_section(section: str, command: str, figures: Figures, out: Path | Non
 
 
 def _origin(command: str) -> dict[str, str]:
-    return {
-        "command": command,
-        "revision": revision(),
-        "date": date(),
-        "machine": machine(),
-    }
+    return {"command": command, "revision": revision(), "date": date(), "machine": machine()}
 
 
 def render(file: Path) -> str:

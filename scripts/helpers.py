@@ -1,7 +1,6 @@
 """What experiments, training, pictures and other commands share."""
 
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import cv2
@@ -12,16 +11,10 @@ from app.camera import CameraSession
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import Person
 from app.estimation.upload import Upload
-from app.photograph import Estimator, fit_poses, normalise_person
+from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.scheduling.process import available_cores
-from app.tracking.body import SeenBody
-from app.tracking.motion import Motion, MotionFilter
 from app.tracking.results import TrackedFrame
-from app.tracking.smoothing import SMOOTHING, PoseSmoother, Smoothed, Smoothing
 from app.vision.geometry import Box
-from app.vision.optics import PinholeCamera
-from app.vision.people import Silhouette
 from index.candidates import RotatedQuery
 from index.matching import DEFAULT_HYPOTHESES, PoseHypothesis
 from index.store import PoseIndex
@@ -36,10 +29,7 @@ def estimate(
 
 
 def track(
-    session: CameraSession,
-    frame: NDArray[np.uint8],
-    timestamp: float,
-    n: int = DEFAULT_HYPOTHESES,
+    session: CameraSession, frame: NDArray[np.uint8], timestamp: float, n: int = DEFAULT_HYPOTHESES
 ) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
     return session.process(Upload(encoded(frame)), timestamp, n, Job())
@@ -48,35 +38,6 @@ def track(
 def encoded(frame: NDArray[np.uint8]) -> bytes:
     """Encode a frame as JPEG of quality 95."""
     return bytes(cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes())
-
-
-def match_silhouettes(
-    index: PoseIndex, silhouettes: Iterable[Silhouette], camera: PinholeCamera, count: int
-) -> list[Person]:
-    """Estimate every silhouette by itself."""
-
-    def match(silhouette: Silhouette) -> Person:
-        person = Person(silhouette.box, "mask", None, silhouette)
-        return fit_poses(index, person, normalise_person(person), camera, count)
-
-    with ThreadPoolExecutor(available_cores()) as pool:
-        return list(pool.map(match, silhouettes))
-
-
-class Follower:
-    """Follows the motion and the pose of one person with hypotheses, frame by frame."""
-
-    def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
-        self._motions, self._smoother = MotionFilter(), PoseSmoother(smoothing)
-
-    def update(self, person: Person, timestamp: float) -> tuple[Motion, Smoothed] | None:
-        """Add a frame; None if it shows no body."""
-        body = SeenBody.of(person)
-        if body is None:
-            return None
-        motion = self._motions.update(timestamp, person.whole_box, body)
-        smoothed = self._smoother.update(person, timestamp, motion)
-        return None if smoothed is None else (motion, smoothed)
 
 
 def place_entry(

@@ -120,6 +120,12 @@ def estimator(settings: Settings) -> Estimator:
     return load_estimator(settings)
 
 
+@pytest.fixture(scope="session")
+def shipped() -> Estimator:
+    """An estimator over the index that ships; it takes seconds to load."""
+    return load_estimator(Settings())
+
+
 @pytest.fixture
 def client(settings: Settings, estimator: Estimator) -> Iterator[TestClient]:
     """A client of an application over the tiny index."""
@@ -195,6 +201,14 @@ def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -
 def server(index_path: Path) -> Iterator[Server]:
     """A server process over the tiny index, ready."""
     with running_server(index_path) as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
+def shipped_server() -> Iterator[Server]:
+    """A server process over the index that ships, ready; it lets requests wait for long."""
+    patient = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
+    with running_server(None, **patient) as running:
         yield running
 
 

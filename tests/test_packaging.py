@@ -13,12 +13,14 @@ from packaging.utils import canonicalize_name
 
 from app.__main__ import SHUTDOWN_GRACE_S
 from app.settings import Settings
-from scripts.figures import measured
 from tests.conftest import ROOT
 from tests.support.programs import output_of, run
 
 DOCKERFILE = (ROOT / "Dockerfile").read_text()
 UNIT = ROOT / "deploy" / "silhouette-pose.service"
+PEAK_MB = 536
+"""Of a process under hostile uploads: docs/notes/history.md, `fuzz`."""
+
 INSTALLED = "/opt/silhouette-pose/.venv/bin/python"
 
 
@@ -53,7 +55,7 @@ def test_the_uploads_that_are_taken_fit_the_memory_limit(file: str | Path, patte
     assert found is not None
     defaults = {name: field.default for name, field in Settings.model_fields.items()}
     uploads_mb = defaults["max_requests"] * defaults["max_upload_bytes"] / 1024**2
-    assert measured("reliability")["fuzz"]["max_memory_mb"] + uploads_mb <= int(found.group(1))
+    assert PEAK_MB + uploads_mb <= int(found.group(1))
 
 
 @pytest.mark.parametrize("name", ["silhouette-pose.service", "silhouette-watch@.service"])

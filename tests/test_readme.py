@@ -4,14 +4,12 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
 import pytest
 
-from index import DEFAULT_PATH
-from tests.conftest import ROOT, SHARED, WALKERS, Server, running_server
+from tests.conftest import ROOT, SHARED, WALKERS, Server
 
 README = ROOT / "README.md"
 API = ROOT / "docs" / "api.md"
@@ -43,13 +41,6 @@ def curl_commands(text: str) -> list[str]:
 COMMANDS = list(
     dict.fromkeys(command for page in (README, API) for command in curl_commands(page.read_text()))
 )
-
-
-@pytest.fixture(scope="module")
-def service() -> Iterator[Server]:
-    """A server over the index that ships, whose entries the pages may name."""
-    with running_server(DEFAULT_PATH) as running:
-        yield running
 
 
 @pytest.fixture(scope="module")
@@ -102,20 +93,20 @@ def resembles(shown: object, answered: object, path: str = "reply", *, whole: bo
 
 
 @pytest.mark.parametrize("page", [README, API], ids=lambda page: page.stem)
-def test_the_reply_is_the_one_shown(page: Path, service: Server) -> None:
+def test_the_reply_is_the_one_shown(page: Path, shipped_server: Server) -> None:
     shown = json.loads(re.findall(r"^```json\n(.*?)^```", page.read_text(), re.M | re.S)[0])
     with WALKERS.open("rb") as frame:
-        answer = httpx.post(f"{service.url}/pose", params={"n": 7}, files={"frame": frame})
+        answer = httpx.post(f"{shipped_server.url}/pose", params={"n": 7}, files={"frame": frame})
     resembles(shown, answer.json(), whole=page == API)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_it_works(command: str, service: Server, folder: Path) -> None:
+def test_it_works(command: str, shipped_server: Server, folder: Path) -> None:
     for tool in ("curl", *re.findall(r"\|\s*([\w.-]+)", command)):
         if shutil.which(tool) is None:
             pytest.skip(f"needs {tool}")
-    script = _CURL + _SERVICE.sub(service.url, placed(command, folder))
-    assert service.url in script, "the command does not call the service"
+    script = _CURL + _SERVICE.sub(shipped_server.url, placed(command, folder))
+    assert shipped_server.url in script, "the command does not call the service"
     before = set(folder.iterdir())
     result = subprocess.run(
         ["/bin/sh", "-c", script], cwd=folder, capture_output=True, timeout=60, check=False

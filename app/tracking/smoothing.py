@@ -43,7 +43,7 @@ EXTRAPOLATED_S = 1.0
 # on.
 _LOST_PER_S = 5.0
 # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and of
-# the share of probability near it; `python -m scripts evaluate tracking --fit-tracks`.
+# the share of probability near it; `evaluate tracking --fit-tracks` at 701c017c.
 _CONFIDENCE_OFFSET, _HYPOTHESES_WEIGHT, _AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
 
 

@@ -97,10 +97,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
         "noise": {reading: table_of_rates(of_noise) for reading, of_noise in rates.items()},
         "met_at_px": {reading: met_at_px(of_noise) for reading, of_noise in rates.items()},
         "published_counts": {
-            f"{rate:.2f}": {
-                "of_252": rate * PUBLISHED_OF / 100,
-                "of_608": rate * len(unseen) / 100,
-            }
+            f"{rate:.2f}": {"of_252": rate * PUBLISHED_OF / 100, "of_608": rate * len(unseen) / 100}
             for rate in sorted({rate for rates in PUBLISHED.values() for rate in rates})
         },
         "readings": measure_readings(known, unseen),

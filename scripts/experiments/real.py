@@ -21,18 +21,9 @@ from app.settings import Settings
 from app.vision.detector import MIN_DETECTION_SCORE, NetworkDetector
 from app.vision.geometry import Box, iou_matrix
 from index import DEFAULT_PATH
-from scripts.datasets import (
-    Marks,
-    Photograph,
-    as_array,
-    read_marks,
-    read_pennfudan,
-    read_vtest,
-)
+from scripts.datasets import Marks, Photograph, as_array, read_marks, read_pennfudan, read_vtest
 from scripts.experiments.real_detection import measure_detection, measure_hog
-from scripts.experiments.real_poses import (
-    cut_out,
-)
+from scripts.experiments.real_poses import cut_out
 from scripts.metrics import FOUND_FROM, mask_iou, true_positives
 
 STEP = 4
@@ -61,10 +52,7 @@ def run(options: argparse.Namespace) -> dict[str, object]:
     photographs = read_pennfudan(folder / "pennfudan")
     frames = read_vtest(folder / "vtest")
     return {
-        "detection": {
-            "hog": measure_hog(photographs),
-            **measure_detection(photographs, detector),
-        },
+        "detection": {"hog": measure_hog(photographs), **measure_detection(photographs, detector)},
         "silhouettes": measure_silhouettes(photographs, estimator),
         "vtest": {
             name: measure_vtest(frames, read_marks(), detector, score)

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from app.estimation.finder import Target
 from app.estimation.poses import NormalisedPerson
@@ -129,12 +128,6 @@ def answer_by_paper(paper: Estimator, shown: Shown, person: Person | None) -> Pe
     camera = PinholeCamera.of_frame(shown.frame.shape)
     (found,) = paper.fit([person], camera, DEFAULT_HYPOTHESES, Job())
     return found if found is not None and found.hypotheses else None
-
-
-def trials_of(people: Sequence[Shown], estimator: Estimator, way: str = BOTH) -> list[Trial]:
-    """Compare answers about people, by default the service's own, with their references."""
-    answered = ((one, answer(estimator, one, way)) for one in tqdm(people, desc=f"by {way}"))
-    return [judge(shown, person) for shown, person in answered if person is not None]
 
 
 def judge(shown: Shown, person: Person) -> Trial:

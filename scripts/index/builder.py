@@ -108,11 +108,7 @@ class IndexSpec:
     segments: tuple[Segment, ...] | None = None
 
 
-def build(
-    spec: IndexSpec,
-    *,
-    executor: Executor | None = None,
-) -> PoseIndex:
+def build(spec: IndexSpec, *, executor: Executor | None = None) -> PoseIndex:
     """Build an index from a motion folder; by default, threads of this process render it.
 
     Raises

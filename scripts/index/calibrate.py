@@ -171,9 +171,7 @@ def fit_calibration(trial: Trial, features: tuple[str, ...] = FEATURES) -> Calib
 
 
 def calibrate(
-    index: PoseIndex,
-    queries: Queries,
-    features: tuple[str, ...] = FEATURES,
+    index: PoseIndex, queries: Queries, features: tuple[str, ...] = FEATURES
 ) -> Calibration:
     """Fit the confidence on an index's answers to silhouettes of clips and bodies that it lacks."""
     trial = run_trial(index, queries)

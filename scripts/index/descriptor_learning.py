@@ -179,11 +179,7 @@ def _odd(recipe: Recipe) -> NDArray[np.bool_]:
 
 
 def _noise_scatter(
-    simulation: Simulation,
-    anchors: NDArray[np.int64],
-    seed: int,
-    recipe: Recipe,
-    faults: Faults,
+    simulation: Simulation, anchors: NDArray[np.int64], seed: int, recipe: Recipe, faults: Faults
 ) -> NDArray[np.float64]:
     """Mean square change ``(F, F)`` of the moments by faults."""
     some = np.sort(anchors[: _ANCHORS // 4])

@@ -39,9 +39,7 @@ _CUT_SHARE = (0.03, 0.09)
 
 
 def degrade(
-    silhouette: NDArray[np.uint8],
-    joints: NDArray[np.floating],
-    generator: np.random.Generator,
+    silhouette: NDArray[np.uint8], joints: NDArray[np.floating], generator: np.random.Generator
 ) -> tuple[NDArray[np.uint8], Placement]:
     """Make a normalised silhouette look as if it had been cut out of a photograph.
 
@@ -127,9 +125,7 @@ def _largest(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
 
 
 def degrade_all(
-    silhouettes: NDArray[np.uint8],
-    joints: NDArray[np.floating],
-    generator: np.random.Generator,
+    silhouettes: NDArray[np.uint8], joints: NDArray[np.floating], generator: np.random.Generator
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
     """Degrade silhouettes ``(B, 128, 48)``; return them with their joints ``(B, 19, 2)``."""
     degraded = np.empty_like(silhouettes)

@@ -85,10 +85,7 @@ def render(
 
 @njit(nogil=True, cache=True)
 def fill_triangles(
-    plane: NDArray[np.float32],
-    triangles: NDArray[np.int32],
-    closed: int,
-    image: NDArray[np.uint8],
+    plane: NDArray[np.float32], triangles: NDArray[np.int32], closed: int, image: NDArray[np.uint8]
 ) -> None:  # pragma: no cover - compiled
     """Set the pixels of an image that triangles ``(T, 3)`` cover to 1.
 
@@ -137,12 +134,7 @@ def _samples_between(a: float, b: float, c: float) -> tuple[int, int]:  # pragma
 
 @njit(nogil=True, cache=True)
 def _fill(
-    plane: NDArray[np.float32],
-    a: int,
-    b: int,
-    c: int,
-    cull: bool,
-    fine: NDArray[np.uint8],
+    plane: NDArray[np.float32], a: int, b: int, c: int, cull: bool, fine: NDArray[np.uint8]
 ) -> None:  # pragma: no cover - compiled
     """Set the samples inside one triangle."""
     ax, ay = plane[a, 0], plane[a, 1]

@@ -34,9 +34,7 @@ _FORESHORTENED_OF = 2
 
 
 def sample_views(
-    count: int,
-    generator: np.random.Generator,
-    elevations_deg: tuple[float, float] = ELEVATIONS_DEG,
+    count: int, generator: np.random.Generator, elevations_deg: tuple[float, float] = ELEVATIONS_DEG
 ) -> NDArray[np.void]:
     """Cameras spread over the hemisphere, with jitter.
 

@@ -1,19 +1,9 @@
-"""A client with a kept-alive connection, and open and closed loops of its requests [1]_.
-
-A client that waits for each answer before it sends the next request (a closed loop) slows down
-with the server, and so can never overload it. An open loop sends at given times.
-
-References
-----------
-.. [1] B. Schroeder, A. Wierman, M. Harchol-Balter, "Open Versus Closed: A Cautionary Tale",
-   NSDI 2006.
-"""
+"""A client with a kept-alive connection, and a loop of clients that wait for each answer."""
 
 import select
-import threading
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,9 +11,6 @@ from http.client import HTTPConnection, HTTPMessage
 from urllib.parse import urlsplit
 
 import httpx
-
-MAX_CONNECTIONS = 400
-"""While this many requests are unanswered, further ones are not sent, but counted."""
 
 _TEXT_FIELDS = ("api_key", "boxes", "min_confidence", "timestamp")
 
@@ -129,15 +116,12 @@ class Answer:
 class Tally:
     """Outcome of the requests of all clients of a run.
 
-    ``broken`` names the errors of connections. Requests are ``unsent`` for want of connections, and
-    ``late_ms`` after their time: large values mean that the client was the bottleneck. ``seconds``
-    pass from the first request to the last answer.
+    ``broken`` names the errors of connections. ``seconds`` pass from the first request to the last
+    answer.
     """
 
     answers: list[Answer] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
-    late_ms: list[float] = field(default_factory=list)
-    unsent: int = 0
     seconds: float = 0.0
 
     def with_status(self, status: int) -> list[Answer]:
@@ -181,33 +165,4 @@ def closed_loop(
     with ThreadPoolExecutor(len(clients)) as threads:
         list(threads.map(run, *zip(*clients, strict=True)))
     tally.seconds = time.perf_counter() - started
-    return tally
-
-
-def open_loop(url: str, requests: Iterator[Request], times_s: Iterable[float]) -> Tally:
-    """Send a request at each of the times (seconds from now, ascending), answered or not."""
-    tally, idle = Tally(), list[Client]()
-    free = threading.Semaphore(MAX_CONNECTIONS)
-
-    def send(request: Request) -> None:
-        try:
-            client = idle.pop()
-        except IndexError:
-            client = Client(url)
-        tally.send(client, request)
-        idle.append(client)
-        free.release()
-
-    started = time.perf_counter()
-    with ThreadPoolExecutor(MAX_CONNECTIONS) as threads:
-        for at in times_s:
-            time.sleep(max(0.0, started + at - time.perf_counter()))
-            tally.late_ms.append((time.perf_counter() - started - at) * 1000)
-            if free.acquire(blocking=False):
-                threads.submit(send, next(requests))
-            else:
-                tally.unsent += 1
-    tally.seconds = time.perf_counter() - started
-    for client in idle:
-        client.close()
     return tally

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.store import PoseIndex
-from scripts.load.client import Call
 
 
 def street(
@@ -39,13 +38,3 @@ def encoded_streets(index: PoseIndex, width: int, height: int) -> tuple[list[byt
     scenes = [street(index, width=width, height=height, seed=seed) for seed in range(8)]
     frames = [encode(".jpg", frame) for frame, _ in scenes]
     return frames, [encode(".png", mask) for _, mask in scenes]
-
-
-def small_calls(index: PoseIndex) -> dict[str, list[Call]]:
-    """Return frames of 320x240 with a mask and without: the quickest and the slowest to serve."""
-    frames, masks = encoded_streets(index, 320, 240)
-    pairs = zip(frames, masks, strict=True)
-    return {
-        "mask": [Call("POST", "/pose", {"frame": frame, "mask": mask}) for frame, mask in pairs],
-        "photograph": [Call("POST", "/pose", {"frame": frame}) for frame in frames],
-    }

@@ -66,12 +66,6 @@ class ServerProcess:
         """Return resident memory in megabytes; ``VmHWM`` for its maximum so far."""
         return _memory_mb(self._process.pid, what)
 
-    def memory_of_children_mb(self, what: str = "VmRSS") -> list[float]:
-        """Return the same of each process that it has started."""
-        threads = Path(f"/proc/{self._process.pid}/task")
-        children = [one for file in threads.glob("*/children") for one in file.read_text().split()]
-        return [_memory_mb(int(one), what) for one in children]
-
     def processor_s(self) -> float:
         """Return the processor time spent so far by all threads, seconds."""
         return processor_s(self._process.pid)

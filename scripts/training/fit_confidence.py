@@ -19,12 +19,7 @@ from scipy.optimize import minimize
 from app.photograph import load_estimator
 from index import DEFAULT_PATH
 from index.artefact import version_of
-from index.confidence import (
-    LANDMARK_CONFIDENCE,
-    RERANKING_FEATURES,
-    Calibration,
-    ConfidenceModel,
-)
+from index.confidence import LANDMARK_CONFIDENCE, RERANKING_FEATURES, Calibration, ConfidenceModel
 from index.store import PoseIndex
 from scripts.index.builder import (
     CALIBRATION_AVATARS,

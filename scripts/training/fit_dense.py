@@ -1,12 +1,13 @@
 """Small fully connected networks, trained by PyTorch on one core."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
+from scripts.training.loop import begin, optimise
 
 Loss = Callable[[Any, Any], Any]
 """Outputs ``(B, O)`` and targets ``(B, T)`` as tensors to a mean."""
@@ -37,9 +38,7 @@ def fit_dense(
     """
     import torch
 
-    torch.manual_seed(seed)
-    torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
+    begin(seed)
     if initial is None:
         means = features.mean(axis=0, dtype=np.float64).astype(np.float32)
         scales = np.maximum(features.std(axis=0, dtype=np.float64), 1e-4).astype(np.float32)
@@ -61,20 +60,18 @@ def fit_dense(
         for layer, weight, bias in zip(linear, initial.weights, initial.biases, strict=True):
             layer.weight.data = torch.from_numpy(weight.T.copy())
             layer.bias.data = torch.from_numpy(bias.copy())
-    optimiser = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=decay)
-    batches = max(1, len(inputs) // batch)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, epochs * batches, pct_start=0.1)
-    network.train()
-    for _ in range(epochs):
-        order = torch.randperm(len(inputs))
-        for number in range(batches):
-            rows = order[number * batch : (number + 1) * batch]
-            given = inputs[rows]
-            found = loss(network(given + noise * torch.randn_like(given)), truth[rows])
-            optimiser.zero_grad()
-            found.backward()
-            optimiser.step()
-            schedule.step()
+    count = max(1, len(inputs) // batch)
+
+    def batches() -> Iterator[Any]:
+        for _ in range(epochs):
+            yield from torch.randperm(len(inputs)).split(batch)[:count]
+
+    def loss_of(some: Any) -> Any:
+        given = inputs[some]
+        return loss(network(given + noise * torch.randn_like(given)), truth[some])
+
+    steps = epochs * count
+    optimise(network, batches(), loss_of, steps=steps, rate=rate, decay=decay, rise=0.1)
     return DenseNetwork(
         means,
         scales,

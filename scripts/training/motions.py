@@ -31,12 +31,7 @@ from scripts.index.poses import read_poses
 from scripts.training.falling import FALLS, FPS, FallKind, fall_from
 from scripts.training.render.makers import ACTIVITY_POSES, use_hands
 from scripts.training.render.pose import Pose, places_of
-from scripts.training.render.posing import (
-    HELD_OUT_SUBJECTS,
-    PoseSource,
-    class_of,
-    classes_of,
-)
+from scripts.training.render.posing import HELD_OUT_SUBJECTS, PoseSource, class_of, classes_of
 
 Support = Literal["seat", "bed"]
 

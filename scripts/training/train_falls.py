@@ -18,20 +18,15 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from app.networks.shipped import FOLDER, read_arrays
-from app.tracking.falls import (
-    COLUMNS,
-    MEMORIES,
-    WINDOW_S,
-    FallModel,
-    FallReport,
-    window_features,
-)
+from app.tracking.falls import COLUMNS, MEMORIES, WINDOW_S, FallModel, FallReport, window_features
 from scripts.index.builder import HELD_OUT_AVATARS
 from scripts.index.garments import make_avatars
+from scripts.metrics import reliability
 from scripts.results import ROOT
 from scripts.training.fall_tracks import Eyes, Track, crowd, home, tracks_of
 from scripts.training.film_tracks import film_tracks
 from scripts.training.fit_dense import midway
+from scripts.training.loop import begin, optimise
 from scripts.training.motion_library import Library
 from scripts.training.shipping import record_hash
 
@@ -153,8 +148,7 @@ def trained(
     """Train a network, or train on the one of this number of a model."""
     import torch
 
-    torch.manual_seed(seed)
-    torch.set_num_threads(1)
+    begin(seed)
     network = untrained_network(len(grid_s))
     epochs, rate = EPOCHS, RATE
     if start is not None:
@@ -162,20 +156,17 @@ def trained(
         epochs, rate = EPOCHS_TRAINED_ON, RATE_TRAINED_ON
     inputs = torch.from_numpy(windows.inputs).view(-1, len(grid_s), COLUMNS).transpose(1, 2)
     targets, weights = torch.from_numpy(windows.targets), torch.from_numpy(windows.weights)
-    optimiser = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
+
+    def loss_of(rows: Any) -> Any:
+        given = inputs[rows] + NOISE * torch.randn_like(inputs[rows])
+        losses = torch.nn.functional.binary_cross_entropy_with_logits(
+            network(given), targets[rows], reduction="none"
+        )
+        return (losses * weights[rows]).mean()
+
+    batches = (rows for _ in range(epochs) for rows in torch.randperm(len(inputs)).split(_BATCH))
     steps = epochs * (len(inputs) // _BATCH + 1)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
-    loss_of = torch.nn.functional.binary_cross_entropy_with_logits
-    for _ in range(epochs):
-        for rows in torch.randperm(len(inputs)).split(_BATCH):
-            given = inputs[rows]
-            given = given + NOISE * torch.randn_like(given)
-            losses = loss_of(network(given), targets[rows], reduction="none")
-            loss = (losses * weights[rows]).mean()
-            optimiser.zero_grad()
-            loss.backward()
-            optimiser.step()
-            schedule.step()
+    optimise(network, batches, loss_of, steps=steps, rate=rate, decay=WEIGHT_DECAY)
     return model_of(network, grid_s)
 
 
@@ -308,44 +299,6 @@ def judged(records: Sequence[Record], reported_from: float, lost_from: float) ->
     }  # fmt: skip
 
 
-def reliability(model: FallModel, windows: Windows) -> list[tuple[float, float, int]]:
-    """Stated and true shares of falls by tenths of the probability, with the number of windows."""
-    counts = windows.weights[:, 0] > 0
-    stated, true = model.probabilities(windows.inputs[counts])[:, 0], windows.targets[counts, 0]
-    bins = np.minimum((10 * stated).astype(int), 9)
-    return [(float(stated[bins == b].mean()), float(true[bins == b].mean()), int((bins == b).sum()))
-            for b in range(10) if (bins == b).any()]  # fmt: skip
-
-
-INPUTS = {
-    "top and bottom": (0, 1), "hips": (2,), "distance": (3,), "width and height": (4, 5),
-    "postures": range(6, 12), "trust": (12,), "covered": (13,), "gaps": (14, 15, 16),
-    "time seen": (17, 18, 19),
-}  # fmt: skip
-"""Columns of :func:`app.tracking.falls.window_features`."""
-
-FALSE_SHARE = 0.01
-"""Share of windows without a fall that counts as one, where inputs are compared."""
-
-
-def worth(model: FallModel, windows: Windows) -> dict[str, float]:
-    """Share of windows of falls that are found with all inputs, and with some exchanged."""
-    counts = windows.weights[:, 0] > 0
-    inputs, fell = windows.inputs[counts], windows.targets[counts, 0] > 0
-    shape = (len(inputs), -1, COLUMNS)
-
-    def found(given: NDArray[np.float32]) -> float:
-        said = model.probabilities(given.reshape(len(given), -1))[:, 0]
-        return float(100 * (said[fell] > np.quantile(said[~fell], 1 - FALSE_SHARE)).mean())
-
-    shares, order = {"all": found(inputs)}, np.random.default_rng(0).permutation(len(inputs))
-    for name, columns in INPUTS.items():
-        exchanged = inputs.reshape(shape).copy()
-        exchanged[..., list(columns)] = inputs.reshape(shape)[order][..., list(columns)]
-        shares[name] = found(exchanged)
-    return shares
-
-
 def write_examples(tracks: Iterator[Track], file: Path, of_each: int = 24) -> None:
     """Write some whole tracks for the tests, as many with falls as without."""
     kept: dict[bool, list[Track]] = {True: [], False: []}
@@ -421,6 +374,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         ("films", film_tracks(options.held_out)),
     ):
         shown = windows_of(tracks, grid_s)
-        for stated, true, count in reliability(model, shown):
-            print(f"{name}: said {stated:.2f}, fell {true:.2f} of {count}")
-        print(name, {key: round(share) for key, share in worth(model, shown).items()})
+        counts = shown.weights[:, 0] > 0
+        stated, fell = model.probabilities(shown.inputs[counts])[:, 0], shown.targets[counts, 0] > 0
+        for tenth in reliability(stated, fell, 10):
+            print(name, {key: round(value, 2) for key, value in tenth.items()})

@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import copy
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -62,6 +62,7 @@ from scripts.index.views import MAX_OWN_ROLL_DEG
 from scripts.index.writer import save_reranker
 from scripts.results import SHARED
 from scripts.training.held_out import part
+from scripts.training.loop import begin, optimise
 
 log = logging.getLogger(__name__)
 
@@ -82,11 +83,7 @@ class TrainingConfig:
 _FINISHING_SHARE = 0.2
 
 
-def train_reranker(
-    index: PoseIndex,
-    spec: IndexSpec,
-    config: TrainingConfig,
-) -> RankingModel:
+def train_reranker(index: PoseIndex, spec: IndexSpec, config: TrainingConfig) -> RankingModel:
     """Train the network on an index's silhouettes and fit the confidence of what it re-ranks.
 
     At first the network does not see some clips; the confidence is fitted on what the index,
@@ -149,11 +146,7 @@ def _whole(layers: nn.Sequential, index: PoseIndex, rows: NDArray[np.int64]) -> 
     return in_whole_numbers(layers, network_input(index.silhouettes(some)))
 
 
-def calibrated(
-    index: PoseIndex,
-    network: JointNetwork,
-    queries: Queries,
-) -> RankingModel:
+def calibrated(index: PoseIndex, network: JointNetwork, queries: Queries) -> RankingModel:
     """A network with the confidence that is fitted to its ranking of an index's answers."""
     asked = replace(index, reranker=RankingModel.of(network))
     calibration = calibrate(asked, queries, RERANKING_FEATURES)
@@ -175,37 +168,36 @@ def train(
     It starts from a trained network, or from random weights; the result is for
     :func:`in_whole_numbers`.
     """
-    torch.set_num_threads(1)
-    torch.manual_seed(config.seed)
+    begin(config.seed)
     generator = np.random.default_rng(config.seed)
     examples = Examples.of(index, rows, generator)
     layers = _layers() if start is None else copy.deepcopy(start)
     layers = layers.to(memory_format=torch.channels_last)
     steps = max(1, round(config.passes * len(examples) / config.batch))
-    optimiser = torch.optim.AdamW(layers.parameters(), lr=config.rate, weight_decay=config.decay)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, config.rate, total_steps=steps, pct_start=0.05
-    )
-    order, lost = np.empty(0, np.int64), 0.0
-    for step in range(1, steps + 1):
-        if len(order) < config.batch:
-            order = np.concatenate([order, generator.permutation(len(examples))])
-        batch, order = order[: config.batch], order[config.batch :]
+
+    def batches() -> Iterator[NDArray[np.int64]]:
+        order = np.empty(0, np.int64)
+        for _ in range(steps):
+            if len(order) < config.batch:
+                order = np.concatenate([order, generator.permutation(len(examples))])
+            batch, order = order[: config.batch], order[config.batch :]
+            yield batch
+
+    def loss_of(batch: NDArray[np.int64]) -> torch.Tensor:
         planes, truth = examples.take(batch, generator)
         # 32 bits take 1.5 times as long, but so would 16 if the processor had to emulate them.
         with torch.autocast("cpu", torch.bfloat16, torch.cpu._is_avx512_bf16_supported()):
             logits = layers(_channels_first(planes))
-        loss = _loss(logits.float(), torch.from_numpy(truth))
-        optimiser.zero_grad()
-        loss.backward()
-        nn.utils.clip_grad_norm_(layers.parameters(), 2.0)
-        optimiser.step()
-        schedule.step()
-        lost += loss.item()
+        return _loss(logits.float(), torch.from_numpy(truth))
+
+    def each(step: int, loss: float) -> None:
         if step % _LOG_EVERY == 0 or step == steps:
-            mean = lost / (step % _LOG_EVERY or _LOG_EVERY)
-            log.info(f"step {step:,} of {steps:,}: loss {mean:.4f}")
-            lost = 0.0
+            log.info(f"step {step:,} of {steps:,}: loss {loss:.4f}")
+
+    optimise(
+        layers, batches(), loss_of, steps=steps, rate=config.rate, decay=config.decay, rise=0.05,
+        most=2.0, each=each,
+    )  # fmt: skip
     return layers
 
 

@@ -27,13 +27,7 @@ from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu
 from index.posture import SILHOUETTE_GROUPS, classify_postures
-from index.silhouette_posture import (
-    INPUTS,
-    MIN_VOTE,
-    UNITS,
-    PostureNetwork,
-    posture_inputs,
-)
+from index.silhouette_posture import INPUTS, MIN_VOTE, UNITS, PostureNetwork, posture_inputs
 from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
 from scripts.index.body import Avatar, Retargeting, pose_transforms, retarget
@@ -48,6 +42,7 @@ from scripts.index.writer import compress, save_postures
 from scripts.metrics import percent
 from scripts.results import SHARED
 from scripts.training.held_out import part
+from scripts.training.loop import begin, optimise
 from scripts.training.render.pose import Pose
 from scripts.training.render.posing import PoseSource, classes_of
 
@@ -180,26 +175,20 @@ def _rendered(avatar: Avatar, poses: Sequence[Pose], rows: NDArray[np.int64]) ->
 
 def train(examples: Examples) -> PostureNetwork:
     """Train the network without votes; the same one for the same examples."""
-    torch.manual_seed(_SEED)
-    torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
+    begin(_SEED)
     layers = nn.Sequential(
         nn.Dropout(_DROPOUT), nn.Linear(INPUTS, UNITS), nn.ReLU(), nn.Dropout(_DROPOUT),
         nn.Linear(UNITS, len(SILHOUETTE_GROUPS)),
     )  # fmt: skip
-    optimiser = torch.optim.AdamW(layers.parameters(), lr=_RATE, weight_decay=_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, _RATE, _STEPS)
-    generator = np.random.default_rng(_SEED)
-    chances = examples.weights
-    for _ in range(_STEPS):
-        rows = generator.choice(len(chances), _BATCH, p=chances)
+    generator, chances = np.random.default_rng(_SEED), examples.weights
+    batches = (generator.choice(len(chances), _BATCH, p=chances) for _ in range(_STEPS))
+
+    def loss_of(rows: NDArray[np.int64]) -> torch.Tensor:
         seen = torch.from_numpy(examples.inputs[rows].astype(np.float32) / _INPUT_SCALE)
         seen = seen + _NOISE * torch.randn(seen.shape)
-        loss = nn.functional.cross_entropy(layers(seen), torch.from_numpy(examples.kinds[rows]))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-        schedule.step()
+        return nn.functional.cross_entropy(layers(seen), torch.from_numpy(examples.kinds[rows]))
+
+    optimise(layers, batches, loss_of, steps=_STEPS, rate=_RATE, decay=_DECAY)
     (first, first_bias), (last, last_bias) = (
         (one.weight.detach().numpy().T, one.bias.detach().numpy())
         for one in layers

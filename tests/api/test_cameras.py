@@ -14,7 +14,7 @@ from app.api.tracking_schemas import CameraList, CameraState
 from app.estimation.finder import PeopleFinder
 from tests.app.vision.encoded import encode
 from tests.conftest import Photo, Serving
-from tests.golden.pictures import EMPTY_YARD, decode
+from tests.golden.pictures import EMPTY_YARD
 from tests.support.service import check_problem, eventually, sample, send
 
 
@@ -24,14 +24,6 @@ def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any)
 
 
 class TestTrackFrame:
-    def test_the_next_frame_finds_the_session_warm(self, client: TestClient, photo: Photo) -> None:
-        states = sessions_of(client, photo, "yard", "yard", "yard", "gate")
-        assert states == ["new", "warm", "warm", "new"]
-        assert sample(client, "pose_camera_sessions") == 2
-        assert sample(client, "pose_camera_sessions_started_total") == 2
-        assert sample(client, "pose_camera_frames_total", session="new") == 2
-        assert sample(client, "pose_camera_frames_total", session="warm") == 2
-
     def test_every_answer_names_the_session_state(self, client: TestClient, photo: Photo) -> None:
         path = "/cameras/yard/frames"
         broken = client.post(path, files={"frame": b"?"})
@@ -184,15 +176,3 @@ class TestObstructed:
             ("obstructed", "begin", None), ("obstructed", "end", None),
         ]  # fmt: skip
         assert sample(client, "pose_events_total", event="obstructed") == 1
-
-    def test_a_camera_may_leave_the_event_out(self, client: TestClient) -> None:
-        client.put("/cameras/yard", json={"events": ["fell"]})
-        warned, events = self.watch(client, *[self.YARD] * 6, *[self.COVER] * 4)
-        assert warned[-1]
-        assert events == []
-
-    def test_a_pause_does_not_hide_that_the_camera_was_turned(self, client: TestClient) -> None:
-        self.watch(client, *[self.YARD] * 6)
-        turned = encode(np.ascontiguousarray(decode(self.YARD)[::-1]), ".jpg")
-        warned, _ = self.watch(client, *[turned] * 4, since=3600)
-        assert warned[-1]

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from scripts.load.expensive import (
+from tests.app.vision.encoded import encode
+from tests.conftest import Server, running_server
+from tests.support.expensive import (
     bmp,
     gif,
     interlaced_png,
@@ -20,8 +22,6 @@ from scripts.load.expensive import (
     tiff_tile,
     webp_animation,
 )
-from tests.app.vision.encoded import encode
-from tests.conftest import Server, running_server
 from tests.support.service import check_problem
 
 pytestmark = pytest.mark.skipif(
@@ -93,10 +93,6 @@ def squares(labels: int, side: int = 32) -> bytes:
     return labelled(people)
 
 
-def two_values() -> bytes:
-    return labelled(np.random.default_rng(0).integers(0, 2, (ROWS, COLUMNS)))
-
-
 def boxes(count: int) -> bytes:
     return json.dumps([[0, 0, COLUMNS, ROWS]] * count).encode()
 
@@ -105,11 +101,7 @@ def boxes(count: int) -> bytes:
     ("query", "fields", "refused"),
     [
         ("rle", {"mask": lambda: stripes(50)}, (400, "mask")),
-        ("none", {"mask": two_values}, (400, "mask")),
-        ("rle", {"mask": lambda: squares(5)}, (422, "mask")),
         ("polygon", {"mask": lambda: squares(4)}, None),
-        ("none", {name: lambda: coarse_noise(1) for name in ("frame", "background")}
-         | {"boxes": lambda: boxes(50)}, (422, "boxes")),
         ("rle", {"frame": lambda: coarse_noise(1), "background": lambda: coarse_noise(2),
                  "boxes": lambda: boxes(4)}, None),
     ],

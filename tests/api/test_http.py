@@ -34,23 +34,11 @@ def test_head_works_wherever_get_does(client: TestClient, path: str) -> None:
         assert head.headers["content-length"] == get.headers["content-length"]
 
 
-def test_head_of_a_problem_has_no_body_either(client: TestClient) -> None:
-    response = client.head("/index/entries/9999")
-    assert (response.status_code, response.content) == (404, b"")
-    response = client.head("/pose")
-    assert (response.status_code, response.headers["allow"]) == (405, "POST")
-
-
 @pytest.mark.parametrize("path", ["/index", "/index/entries/3", "/healthz", "/cameras/yard"])
 def test_a_slash_at_the_end_changes_no_answer(client: TestClient, path: str) -> None:
     with_slash, without = client.get(f"{path}/"), client.get(path)
     assert with_slash.status_code == without.status_code
     assert with_slash.json() == without.json()
-
-
-def test_a_frame_may_be_posted_to_a_path_with_a_slash(client: TestClient, photo: Photo) -> None:
-    response = client.post("/pose/?n=1", files=photo.files, follow_redirects=False)
-    assert response.status_code == 200
 
 
 @pytest.mark.parametrize("path", ["//evil.example/", "/static/", "//", "/nothing/", "/pose//"])

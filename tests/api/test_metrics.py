@@ -4,7 +4,6 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.scheduling.queue import FairQueue, OverloadedError
 from tests.conftest import Photo, Serving
 from tests.support.service import sample, samples, send
 
@@ -43,21 +42,6 @@ def test_every_request_counts_for_its_route(
 ) -> None:
     status = str(client.request(method, path).status_code)
     assert sample(client, "pose_requests_total", route=route, status=status) == 1
-
-
-def test_an_early_refusal_counts_for_its_route(
-    serving: Serving, photo: Photo, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    client = serving()
-
-    def refuse(*_: object) -> None:
-        raise OverloadedError("the service is working to capacity")
-
-    monkeypatch.setattr(FairQueue, "check", refuse)
-    assert client.post("/pose", files={"frame": photo.frame_png}).status_code == 503
-    assert sample(client, "pose_requests_total", route="/pose", status="503") == 1
-    assert sample(client, "pose_requests_total", route="other") is None
-    assert sample(client, "pose_capacity_used_ratio") == 0
 
 
 def test_durations_are_counted_to_the_deadline_but_of_probes(serving: Serving) -> None:

@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 
 from app.estimation.upload import Upload
 from app.networks.tflite import TfliteNetwork
-from app.photograph import load_estimator
+from app.photograph import Estimator, load_estimator
 from app.scheduling.executor import Executor
 from app.scheduling.job import Job
 from app.settings import Settings
 from app.vision.geometry import Box
-from index import DEFAULT_PATH
 from index.skeleton import NATIVE, other_side
 from index.store import PoseIndex
-from tests.conftest import ROOT, WALKERS, Photo, photograph, png, running_server
+from tests.conftest import ROOT, WALKERS, Photo, Server, photograph, png, running_server
 from tests.golden.pictures import decode
 from tests.support.rotation import rotate_points
 from tests.support.service import Client
@@ -35,9 +34,7 @@ WALKER_PX = 70
 """The three walkers of the street are taller, the two distant people smaller."""
 
 OTHER_SIDE = [NATIVE.names.index(other_side(name)) for name in NATIVE.names]
-PHOTOS = range(0, 96, 24)
-PATIENT = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
-"""A busy machine may take its time."""
+PHOTOS = (24, 72)
 
 
 def older_processor() -> dict[str, str]:
@@ -57,20 +54,18 @@ def older_processor() -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def processors() -> Iterator[list[Client]]:
+def processors(shipped_server: Server) -> Iterator[list[Client]]:
     """Clients of servers over the shipped index, on this processor and as on an older one."""
     with ExitStack() as stack:
-        servers = [
-            stack.enter_context(running_server(None, **PATIENT, **environment))
-            for environment in ({}, older_processor())
-        ]
+        older = stack.enter_context(running_server(None, **older_processor()))
         yield [
-            stack.enter_context(httpx.Client(base_url=server.url, timeout=60)) for server in servers
+            stack.enter_context(httpx.Client(base_url=server.url, timeout=60))
+            for server in (shipped_server, older)
         ]
 
 
 @pytest.fixture
-def shipped(processors: list[Client]) -> Client:
+def service(processors: list[Client]) -> Client:
     """A client of a service over the shipped index."""
     return processors[0]
 
@@ -85,7 +80,7 @@ def persons(
     return sorted(answer, key=lambda person: person["box"]["x"])
 
 
-@pytest.mark.parametrize("sent", SENT)
+@pytest.mark.parametrize("sent", ["mask", "frame"])
 def test_every_processor_gives_the_same_answer(processors: list[Client], sent: str) -> None:
     one, other = (persons(client, SENT[sent], n=14) for client in processors)
     assert one
@@ -110,14 +105,13 @@ def test_one_thread_and_two_give_the_same_answer(
 
 
 def test_the_rounding_of_networks_changes_no_first_hypothesis(
-    settings: Settings, monkeypatch: pytest.MonkeyPatch
+    shipped: Estimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Processors sum in another order, which changes the last digits of what a network gives."""
-    estimator = load_estimator(settings.model_copy(update={"index": DEFAULT_PATH}))
     photographs = [WALKERS.read_bytes(), YARD.read_bytes()]
 
     def first() -> list[tuple[int, bool]]:
-        found = [estimator.estimate(Upload(one), 1, Job()).persons for one in photographs]
+        found = [shipped.estimate(Upload(one), 1, Job()).persons for one in photographs]
         best = [person.hypotheses[0] for people in found for person in people]
         return [(one.entry_id, one.mirrored) for one in best]
 
@@ -129,21 +123,21 @@ def test_the_rounding_of_networks_changes_no_first_hypothesis(
 
     monkeypatch.setattr(TfliteNetwork, "run", rounded)
     assert len(before) >= 5
-    for _ in range(3):
+    for _ in range(2):
         assert first() == before
 
 
-@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-@pytest.mark.parametrize("sent", SENT)
-@pytest.mark.parametrize("n", [1, 7])
+@pytest.mark.parametrize(
+    ("sent", "evidence"), [("mask", "photograph"), ("both", "silhouette"), ("frame", "photograph")]
+)
 def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
-    shipped: Client, sent: str, evidence: str, n: int
+    service: Client, sent: str, evidence: str
 ) -> None:
-    path = f"/cameras/{sent}-{evidence}-{n}"
-    options = {"n": n, "evidence": evidence}
-    alone = persons(shipped, SENT[sent], **options)
-    tracked = persons(shipped, SENT[sent], f"{path}/frames", **options)
-    shipped.delete(path)
+    path = f"/cameras/{sent}-{evidence}"
+    options = {"evidence": evidence}
+    alone = persons(service, SENT[sent], **options)
+    tracked = persons(service, SENT[sent], f"{path}/frames", **options)
+    service.delete(path)
     for one, other in zip(alone, tracked, strict=True):
         for name in ("source", "silhouette", "observed_keypoints", "hypotheses"):
             assert one[name] == other[name], name
@@ -154,13 +148,10 @@ def test_a_sessions_first_frame_has_the_hypotheses_of_a_photograph(
             assert one["box"] == other["box"]
 
 
-@pytest.mark.parametrize("evidence", ["photograph", "silhouette"])
-def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient, evidence: str) -> None:
-    many = persons(client, {"frame": STREET}, n=14, evidence=evidence)
-    for n in (1, 7, 10):
-        for few, person in zip(
-            persons(client, {"frame": STREET}, n=n, evidence=evidence), many, strict=True
-        ):
+def test_the_count_of_hypotheses_changes_nothing_else(client: TestClient) -> None:
+    many = persons(client, {"frame": STREET}, n=14)
+    for n in (1, 7):
+        for few, person in zip(persons(client, {"frame": STREET}, n=n), many, strict=True):
             # Nothing else depends on the count either.
             assert few == {**person, "hypotheses": person["hypotheses"][:n]}
 
@@ -181,15 +172,15 @@ def apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 # By the silhouette alone only rounding differs; the networks are only nearly symmetric.
 @pytest.mark.parametrize(
     ("sent", "heights", "metres"),
-    [("mask", 0.005, 0.01), ("both", 0.06, 0.15), ("frame", 0.06, 0.15)],
+    [("mask", 0.005, 0.01), ("frame", 0.06, 0.15)],
 )
 def test_a_mirrored_photograph_has_the_mirrored_answer(
-    shipped: Client, sent: str, heights: float, metres: float
+    service: Client, sent: str, heights: float, metres: float
 ) -> None:
-    here = persons(shipped, SENT[sent])
+    here = persons(service, SENT[sent])
     width = 298
     flipped = {name: changed(image, lambda p: p[:, ::-1]) for name, image in SENT[sent].items()}
-    there = persons(shipped, flipped)
+    there = persons(service, flipped)
     assert len(here) == len(there)
 
     def mirrored_middle(person: dict[str, Any]) -> float:
@@ -212,21 +203,19 @@ def test_a_mirrored_photograph_has_the_mirrored_answer(
 
 
 # A silhouette does not show which end is the head: upside down it has other poses.
-@pytest.mark.parametrize(
-    ("sent", "quarter_turns"), [("mask", 1), ("mask", 3), ("frame", 1), ("frame", 2), ("frame", 3)]
-)
+@pytest.mark.parametrize(("sent", "quarter_turns"), [("mask", 1), ("frame", 1), ("frame", 2)])
 def test_a_rotated_photograph_has_the_rotated_answer(
-    shipped: Client, sent: str, quarter_turns: int
+    service: Client, sent: str, quarter_turns: int
 ) -> None:
     """The seven hypotheses of a clearly detected person include the best of the upright person."""
-    here = persons(shipped, SENT[sent])
+    here = persons(service, SENT[sent])
     turned = {
         name: changed(image, lambda p: np.rot90(p, quarter_turns))
         for name, image in SENT[sent].items()
     }
     there = [
         one
-        for one in persons(shipped, turned)
+        for one in persons(service, turned)
         if max(one["box"]["width"], one["box"]["height"]) > WALKER_PX
         and (one["detection_score"] is None or one["detection_score"] > 0.5)
     ]

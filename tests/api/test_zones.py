@@ -26,7 +26,7 @@ def track(client: TestClient, photo: Photo, boxes: Any, **fields: str) -> dict[s
         "/cameras/yard/frames",
         files={"frame": photo.frame_png},
         data={"boxes": json.dumps(boxes), **fields},
-        params={"evidence": "silhouette"},
+        params={"evidence": "silhouette", "n": 1},
     )
     assert response.status_code == 200, response.text
     answer: dict[str, Any] = response.json()
@@ -50,12 +50,6 @@ class TestConfigure:
             assert client.get("/cameras/yard").json()["zones"] == [LEFT, RIGHT]
             (listed,) = client.get("/cameras").json()["cameras"]
             assert listed["camera_id"] == "yard"
-
-    def test_zones_are_replaced_and_removed(self, client: TestClient) -> None:
-        configure(client, LEFT, RIGHT)
-        assert configure(client, RIGHT).json()["zones"] == [RIGHT]
-        assert configure(client).json()["zones"] == []
-        check_problem(client.get("/cameras/yard"), 404)
 
     def test_cameras_that_never_sent_a_frame_make_room(
         self, serving: Serving, photo: Photo
@@ -122,19 +116,13 @@ class TestFile:
         assert str(error.value).startswith(f"POSE_CAMERAS_FILE: {path}: ")
         assert problem in str(error.value)
 
-    def test_a_missing_file_is_refused_in_a_sentence(self, tmp_path: Path) -> None:
-        with pytest.raises(
-            SettingsError, match=r"expected a file of cameras, got .*: No such file"
-        ):
-            read_cameras(tmp_path / "none.json")
-
 
 class TestEvents:
     def test_the_last_hundred_are_kept_until_the_camera_is_forgotten(
         self, client: TestClient, photo: Photo
     ) -> None:
         seen = []
-        for number in range(60):  # After each gap, the person leaves and enters anew.
+        for number in range(51):  # After each gap, the person leaves and enters anew.
             answer = client.post(
                 f"/cameras/yard/frames?n=1&evidence=silhouette&timestamp={20 * number}",
                 files={"mask": photo.mask_png},
@@ -165,17 +153,3 @@ class TestEvents:
             ("zone_left", "a", ["bed"], 1.9),
             ("left", "a", ["bed"], None),
         ]
-
-
-class TestMisdrawn:
-    def test_a_zone_whose_border_crosses_itself_is_named(self, client: TestClient) -> None:
-        bow = {"name": "bow", "kind": "watch", "polygon": [[0, 0], [90, 90], [90, 0], [0, 90]]}
-        assert configure(client, bow, RIGHT).json()["zones_crossing"] == ["bow"]
-
-    def test_a_zone_outside_the_frame_is_named(self, client: TestClient, photo: Photo) -> None:
-        away = {"name": "away", "kind": "watch", "polygon": [[400, 0], [500, 0], [450, 90]]}
-        assert configure(client, LEFT, away, RIGHT).json()["zones_outside"] == []
-        assert send(client, photo).json()["image"]["warnings"] == ["zone_outside"]
-        assert client.get("/cameras/yard").json()["zones_outside"] == ["away"]
-        assert configure(client, LEFT, RIGHT).json()["zones_outside"] == []
-        assert send(client, photo).json()["image"]["warnings"] == []

@@ -74,8 +74,7 @@ def test_a_person_who_vanished_within_the_frame_keeps_the_identity(session: Came
     assert ids(send(session, 1.5, (0, 110))) == [1]
 
 
-@pytest.mark.parametrize("fps", [1, 5, 30])
-@pytest.mark.parametrize("speed", [0, 64, -64])
+@pytest.mark.parametrize(("fps", "speed"), [(1, 64), (5, 0), (30, -64)])
 def test_identities_and_poses_at_any_frame_rate(
     session: CameraSession, fps: int, speed: int
 ) -> None:
@@ -138,14 +137,6 @@ def test_another_size_or_a_long_gap_starts_afresh(
     assert ids(result) == [2]
     assert events(result) == [("left", 1), ("entered", 2)]
     assert send(session, time + 0.1, (0, 50), columns=columns).reset is None
-
-
-def test_a_cancelled_frame_loses_no_events(session: CameraSession) -> None:
-    with pytest.raises(DeadlineError):
-        session.process(Upload(draw((0, 50))), 0.0, 3, ShortJob(5), "silhouette")
-    result = send(session, 0.1, (0, 50))
-    assert ids(result) == [1]
-    assert events(result) == [("entered", 1)]
 
 
 @pytest.mark.parametrize("steps", range(1, 8))
@@ -227,12 +218,12 @@ def test_who_was_hidden_does_not_fall_when_lost(
         boxes = [Box(left - 0.5, 59.5, 30, PERSON)]
         if left > 120:
             boxes.append(Box(99.5, 59.5, 30, PERSON))
-        seen = session.process(Upload(draw((0, left)), boxes=tuple(boxes)), step / 10, 3, Job())
+        seen = session.process(Upload(draw((0, left)), boxes=tuple(boxes)), step / 10, 0, Job())
     assert ids(seen) == [1]
     fell = []
     for step in range(12, 40):
         boxes = (Box(69.5, 59.5, 30, PERSON),)
-        result = session.process(Upload(draw((0, 70)), boxes=boxes), step / 10, 3, Job())
+        result = session.process(Upload(draw((0, 70)), boxes=boxes), step / 10, 0, Job())
         fell += [event.event for event in result.events]
     assert "fell" not in fell and "left" in fell
 
@@ -249,7 +240,7 @@ def test_who_is_lost_behind_another_one_did_not_fall(
     for step in range(30):
         boxes = tuple(both if step < 5 else both[1:])
         frame = draw((0, 100), (1, left)) if step < 5 else draw((1, left))
-        told += session.process(Upload(frame, boxes=boxes), step / 10, 3, Job()).events
+        told += session.process(Upload(frame, boxes=boxes), step / 10, 0, Job()).events
     assert [one.event for one in told if one.track_id == 1 and one.event != "entered"] == (
         ["fell", "left"] if falls else ["left"]
     )
@@ -298,18 +289,15 @@ def test_the_number_of_tracks_is_bounded(session: CameraSession) -> None:
     assert session.memory_bytes // TRACK_BYTES <= 8
 
 
-@pytest.mark.parametrize("fps", [10, 25])
-def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession, fps: int) -> None:
+def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession) -> None:
     send(session, 0.0)  # The pictures of the camera are no part of a track.
     seen: dict[int, object] = {}  # They stay alive, so that no later object has their identity.
     for shared in (session, actions.shipped_model(), *falls.shipped_models()):
         held_bytes(shared, seen)
-    for frame in range(round(3.2 * fps)):
-        send(session, (1 + frame) / fps, (0, 100))
+    for frame in range(32):
+        send(session, (1 + frame) / 10, (0, 100))
     held = held_bytes([*vars(session).values()], seen)
-    assert held < 2 * session.memory_bytes
-    if fps == 10:
-        assert held > session.memory_bytes / 2
+    assert session.memory_bytes / 2 < held < 2 * session.memory_bytes
 
 
 def held_bytes(value: object, seen: dict[int, object]) -> int:

@@ -11,7 +11,7 @@ from app.photograph import Estimator, MethodError, load_estimator
 from app.settings import Settings
 from app.vision.geometry import Box
 from index.store import PoseIndex
-from tests.conftest import ROOT, WALKERS, Photo
+from tests.conftest import ROOT, WALKERS
 
 DATA = ROOT / "tests" / "data"
 STREET = WALKERS.read_bytes()
@@ -39,39 +39,12 @@ def test_every_walker_has_entries_in_the_order_of_their_distances(
         assert all(0 < one.confidence < 1 for one in person.hypotheses)
 
 
-def test_skeletons_lie_over_the_silhouette(paper: Estimator, photo: Photo) -> None:
-    (person,) = paper.estimate(Upload(photo.frame_png, photo.mask_png), 7).persons
-    best = person.hypotheses[0]
-    assert best.entry_id == photo.entry
-    assert best.points_2d[:19] == pytest.approx(photo.joints_2d, abs=0.1)
-
-
-def test_a_callers_box_is_cut_out(paper: Estimator, photo: Photo) -> None:
-    (person,) = paper.estimate(Upload(photo.frame_png, boxes=[Box(150, 39, 48, 130)])).persons
-    assert person.source == "boxes"
-    assert person.silhouette is not None
-    cut = person.silhouette.mask(photo.mask.shape)
-    assert (cut & (photo.mask > 0)).sum() > 0.6 * photo.mask.sum()
-
-
 def test_a_background_cuts_out_whom_hog_detects(paper: Estimator) -> None:
     yard, empty = ((DATA / name).read_bytes() for name in ("yard.jpg", "yard-empty.jpg"))
     persons = paper.estimate(Upload(yard, background=empty)).persons
     assert persons
     for person in persons:
         assert person.silhouette is not None and person.silhouette.segmenter == "background"
-
-
-def test_asked_of_an_estimator_with_networks_the_answer_is_the_same(
-    paper: Estimator, estimator: Estimator
-) -> None:
-    asked = estimator.by("paper")
-    assert asked is estimator.by("paper").by()
-    assert asked.by("networks") is estimator
-    first, second = (one.estimate(Upload(STREET)).persons for one in (paper, asked))
-    assert [one.box for one in first] == [one.box for one in second]
-    for one, other in zip(first, second, strict=True):
-        assert [h.entry_id for h in one.hypotheses] == [h.entry_id for h in other.hypotheses]
 
 
 def test_without_networks_there_is_no_other_method(paper: Estimator) -> None:
@@ -92,14 +65,6 @@ def test_a_network_cuts_people_out_if_it_is_asked_to(estimator: Estimator) -> No
     assert all(one.landmarks is None and one.hypotheses for one in persons)
     with pytest.raises(MethodError, match="expected network"):
         estimator.by("networks", "grabcut")
-
-
-def test_another_index_keeps_the_method(
-    paper: Estimator, estimator: Estimator, tiny_index: PoseIndex
-) -> None:
-    assert paper.with_index(tiny_index).method == "paper"
-    assert estimator.with_index(tiny_index).method == "networks"
-    assert estimator.with_index(tiny_index).by("paper").index is tiny_index
 
 
 def test_a_camera_keeps_identities(paper: Estimator) -> None:

@@ -1,7 +1,6 @@
 """Two service processes behind HAProxy with ``deploy/haproxy.cfg``."""
 
 import shutil
-import socket
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,7 +13,6 @@ from tests.conftest import Photo
 from tests.support.balancer import CONFIGURATION, Balancer, Replica
 from tests.support.programs import run
 from tests.support.service import check_problem, eventually, send
-from tests.support.upgrades import check_hidden_requests
 
 pytestmark = pytest.mark.skipif(
     shutil.which("haproxy") is None, reason="needs HAProxy: apt-get install haproxy"
@@ -69,16 +67,6 @@ def test_the_configuration_is_valid_without_a_warning(servers: dict[str, str]) -
     checked = run("haproxy", "-c", "-f", CONFIGURATION, **servers)
     assert checked.returncode == 0, checked.stderr
     assert "[WARNING]" not in checked.stderr
-
-
-@pytest.mark.slow
-def test_a_request_hidden_in_a_body_is_not_carried_out(
-    deployment: Deployment, client: httpx.Client, photo: Photo
-) -> None:
-    address = client.base_url
-    check_hidden_requests(
-        client, lambda: socket.create_connection((address.host, address.port)), photo
-    )
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import socket
 import ssl
 import subprocess
 import time
@@ -20,7 +19,6 @@ import pytest
 from app.settings import Settings
 from tests.conftest import ROOT, Photo, Server
 from tests.support.ports import free_ports
-from tests.support.upgrades import check_hidden_requests
 
 NGINX = (ROOT / "deploy" / "nginx.conf").read_text()
 CADDY = (ROOT / "deploy" / "Caddyfile").read_text()
@@ -168,17 +166,6 @@ def test_a_frame_is_answered_as_without_it(
     video = bytes(Settings.model_fields["max_video_bytes"].default - 1000)
     large = client.post("/sequence", files={"video": ("clip.mp4", video)})
     assert large.json()["reason"] == "undecodable"
-
-
-def test_a_request_hidden_in_a_body_is_not_carried_out(
-    proxy: Proxy, client: httpx.Client, photo: Photo
-) -> None:
-    def connect() -> ssl.SSLSocket:
-        address = httpx.URL(proxy.url)
-        plain = socket.create_connection((address.host, address.port))
-        return proxy.context.wrap_socket(plain, server_hostname="localhost")
-
-    check_hidden_requests(client, connect, photo)
 
 
 class Echo(BaseHTTPRequestHandler):

@@ -123,27 +123,6 @@ def test_is_never_empty(mask: Mask) -> None:
     assert normalise(mask)[0].any()
 
 
-def test_a_line_thinner_than_a_pixel_is_kept() -> None:
-    line = np.zeros((2000, 400), np.uint8)
-    line[:, 200] = 1
-    line[1000, 150:250] = 1
-    # Row by row, but for the ends, which fade.
-    assert normalise(line)[0].any(axis=1)[1:-1].all()
-
-
-@pytest.mark.parametrize("rows", [1024, 1025, 1027])
-def test_averaging_blocks_first_moves_nothing_but_the_outline(
-    monkeypatch: pytest.MonkeyPatch, rows: int
-) -> None:
-    mask = smooth_person(rows)
-    whole, placement = normalise(mask)
-    monkeypatch.setattr("descriptor.silhouette._LARGEST_PX", 256)
-    by_blocks, same_placement = normalise(mask)
-    assert_differ_only_at_the_outline(by_blocks, whole)
-    assert (by_blocks != whole).sum() < 0.02 * whole.sum()
-    assert same_placement == placement
-
-
 @pytest.mark.parametrize("shape", [(1_000_000, 12), (12, 1_000_000)], ids=str)
 def test_extremely_thin_masks_take_memory_in_proportion_to_their_pixels(
     shape: tuple[int, int],
@@ -202,15 +181,6 @@ def test_principal_axis_of_an_ellipse_is_its_long_axis(angle: int, short: int) -
     assert apart_deg(found, angle) < 1.0
 
 
-@pytest.mark.parametrize("times", [0, 1, 2, 3])
-def test_principal_axis_turns_with_the_mask(times: int) -> None:
-    person = smooth_person(120)
-    person[40:50, 70:110] = 1
-    upright = principal_axis_deg(person)
-    assert 1 < abs(upright) < 30
-    assert apart_deg(principal_axis_deg(np.rot90(person, times)), upright - 90 * times) < 1e-6
-
-
 @pytest.mark.parametrize("angle", [-170.0, -90.0, -53.0, 8.0, 90.0, 121.0, 180.0])
 class TestRotate:
     def test_pixels_map_back_to_the_mask(self, angle: float) -> None:
@@ -245,16 +215,6 @@ def test_masks_beyond_the_limits_of_opencv_are_rotated(shape: tuple[int, int]) -
     assert np.abs(ends).max() == pytest.approx(max(shape), rel=0.1)
 
 
-@pytest.mark.parametrize("angle", [0.0, 20.0, 90.0, -135.0])
-@pytest.mark.parametrize("length", [400, 4_000, 30_000])
-def test_thin_line_stays_unbroken(length: int, angle: float) -> None:
-    """However thin it is in the frame, where it covers no pixel by half."""
-    rotated, inverse = rotate_silhouette(np.ones((length, 3), np.uint8), angle)
-    along = (pixels(rotated) @ inverse[:, :2].T + inverse[:, 2])[:, 1]
-    seen, _ = np.histogram(along, bins=24, range=(0, length))
-    assert seen.all()
-
-
 @pytest.fixture
 def square() -> NDArray[np.uint8]:
     silhouette = np.zeros((128, 48), np.uint8)
@@ -268,10 +228,3 @@ def test_outline_distance_grows_with_a_shift_and_stays_below_it(square: NDArray[
     assert (np.diff(distances) > 0).all()
     # Every outline pixel has its own image at the distance of the shift.
     assert (distances <= shifts + 0.1).all()
-
-
-def test_outline_distance_of_concentric_squares(square: NDArray[np.uint8]) -> None:
-    inner = np.zeros_like(square)
-    inner[44:76, 14:26] = 1
-    # Sides are 4 px apart, only corners farther.
-    assert_allclose(outline_distances(square, inner[None]), 4, atol=0.3)

@@ -2,15 +2,7 @@
 
 import sys
 
-from tests.golden.answers import (
-    FOLDER,
-    Conversation,
-    differences,
-    file_of,
-    pretty,
-    read,
-    services,
-)
+from tests.golden.answers import FOLDER, Conversation, differences, file_of, pretty, read, services
 from tests.golden.requests import kept_requests
 
 SHOWN = 12

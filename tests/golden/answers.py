@@ -15,6 +15,7 @@ from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
 from app.main import create_app
+from app.photograph import Estimator
 from app.settings import Settings
 from tests.golden.pictures import decode
 from tests.golden.requests import Request, requests
@@ -38,12 +39,15 @@ _WIDTH = 100
 
 
 @contextmanager
-def services() -> Iterator[Mapping[str, TestClient]]:
-    """Clients of the service over the shipped index, and of one that never loads an index."""
+def services(estimator: Estimator | None = None) -> Iterator[Mapping[str, TestClient]]:
+    """Clients of the service over the shipped index, and of one that never loads an index.
+
+    An estimator over the shipped index saves loading it.
+    """
     # A busy machine may take its time.
     patient = Settings(max_wait_s=300, request_timeout_s=300, revision="golden")
     locked = Settings(api_keys=(SecretStr("golden"),))
-    with TestClient(create_app(patient), raise_server_exceptions=False) as client:
+    with TestClient(create_app(patient, estimator), raise_server_exceptions=False) as client:
         until = time.monotonic() + _LOADED_WITHIN_S
         while client.get("/readyz").status_code != 200:
             assert time.monotonic() < until, "expected the index to be loaded"

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from app.photograph import Estimator
 from tests.golden.answers import FOLDER, Conversation, differences, read, services
 from tests.golden.requests import Request, kept_requests
 
@@ -13,8 +14,8 @@ SHOWN = 20
 
 
 @pytest.fixture(scope="module")
-def conversation() -> Iterator[Conversation]:
-    with services() as clients:
+def conversation(shipped: Estimator) -> Iterator[Conversation]:
+    with services(shipped) as clients:
         yield Conversation(clients)
 
 

@@ -53,8 +53,7 @@ UPRIGHT = (0.0,)
 
 
 @given(
-    tilt=st.floats(-720, 720),
-    usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)]),
+    tilt=st.floats(-720, 720), usual=st.sampled_from([UPRIGHT, (0.0, -180.0), (0.0, 37.0, -143.0)])
 )
 def test_landmark_rotations_are_the_usual_one_and_that_of_the_trunk(
     tilt: float, usual: tuple[float, ...]

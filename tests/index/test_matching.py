@@ -8,12 +8,7 @@ from numpy.typing import NDArray
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
 from index.landmark_matching import match_landmarks
-from index.matching import (
-    DEFAULT_HYPOTHESES,
-    MIN_NEW_POSE_M,
-    Match,
-    PoseHypothesis,
-)
+from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis
 from index.modes import DISTINCT_M
 from index.silhouette_matching import match_silhouette
 from index.skeleton import (
@@ -124,15 +119,6 @@ def test_more_hypotheses_requested_than_exist(tiny_index: PoseIndex) -> None:
     assert_later_poses_are_new(found)
 
 
-@pytest.mark.parametrize("drawn", ["full", "dot"])
-def test_degenerate_silhouettes(toy_index: PoseIndex, drawn: str) -> None:
-    silhouette = np.zeros((128, 48), np.uint8)
-    silhouette[(slice(None), slice(None)) if drawn == "full" else (60, 20)] = 1
-    for hypothesis in best_hypotheses(toy_index, silhouette, 2):
-        assert np.isfinite([hypothesis.silhouette_distance, hypothesis.confidence]).all()
-        assert np.isfinite(hypothesis.reprojection_error_px)
-
-
 def rolled_entries(index: PoseIndex) -> list[int]:
     """Some of the entries that were rolled upright."""
     return np.flatnonzero(np.abs(index.entries["roll_deg"]) > 30)[::17].tolist()
@@ -175,17 +161,6 @@ class TestRolledQueries:
             assert joint_error(there.points_3d, here.points_3d) < 0.03
             frame = np.array(silhouette.shape[::-1]) - 1
             assert joint_error(frame - there.points_normalised, here.points_normalised) < 1
-
-    def test_landmarks_are_rotated_as_the_silhouette_is(self, ground_index: PoseIndex) -> None:
-        for number in rolled_entries(ground_index)[::4]:
-            roll_deg, entry = roll_of(ground_index, number), ground_index.entry(number)
-            landmarks = landmarks_of(entry.points_normalised, entry.points_3d)
-            silhouette = ground_index.silhouette(number)
-            found = likeliest(
-                match_landmarks(ground_index, silhouette, 3, landmarks, roll_deg=roll_deg)
-            )
-            assert joint_error(found.points_normalised, entry.points_normalised) < 3
-            assert joint_error(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
 
 
 def likeliest(found: Match) -> PoseHypothesis:

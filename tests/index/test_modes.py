@@ -11,14 +11,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates
-from index.modes import (
-    DISTINCT_M,
-    DepthModes,
-    Modes,
-    candidate_weights,
-    depth_modes,
-    find_modes,
-)
+from index.modes import DISTINCT_M, DepthModes, Modes, candidate_weights, depth_modes, find_modes
 from index.skeleton import JOINTS, LIMBS, POINTS, bone_lengths, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of
@@ -124,23 +117,6 @@ def nearest(index: PoseIndex, silhouette: NDArray[np.uint8]) -> Candidates:
     return find_candidates(index, [RotatedQuery.of(silhouette, 0.0)], 200)
 
 
-@pytest.mark.parametrize("count", [1, 4, 12, 30])
-def test_modes_made_equal_by_interpolation_are_replaced(toy_index: PoseIndex, count: int) -> None:
-    for number in range(0, 576, 23):
-        found = nearest(toy_index, toy_index.silhouette(number)[::-1])
-        assert len(modes_of(found, count)) == min(count, len(modes_of(found, 200)))
-
-
-def test_modes_made_equal_by_a_fit_count_as_one(toy_index: PoseIndex) -> None:
-    found = nearest(toy_index, toy_index.silhouette(7))
-
-    def fit(modes: Modes) -> Modes:
-        return replace(modes, points_3d=np.repeat(found.points_3d[:1], len(modes), axis=0))
-
-    assert len(modes_of(found, 5)) == 5
-    assert len(modes_of(found, 5, fit=fit)) == 1
-
-
 def test_rounding_does_not_choose_among_equal_densities() -> None:
     rng = np.random.default_rng(0)
     # One pose, tilted by a hair: the sums of its kernels differ by rounding alone.
@@ -192,18 +168,3 @@ def test_the_share_nearer_to_an_alternative_is_that_of_the_posterior(seed: int) 
     assert_allclose(depths.nearer, nearer, atol=0.02)
     along = depths.offsets @ np.linalg.solve(errors, depths.offsets.T)
     assert_allclose(depths.misfits, np.diag(along) / 2, rtol=1e-3)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_certain_depths_have_no_alternatives(seed: int) -> None:
-    limbs = np.eye(len(LIMBS))
-    assert np.abs(depths_about(seed, 1e-6 * limbs).offsets).max() < 0.03
-
-
-def test_fewer_alternatives_than_asked_for_few_candidates() -> None:
-    pose = some_pose()
-    found = candidates_of(np.zeros(6), np.ones((1, 6)), pose[None])
-    landmarks = landmarks_of(100 * pose[:, :2], pose)
-    agreement = landmarks.compare(found.points_normalised, found.points_3d)
-    depths = depth_modes(found, landmarks, agreement)
-    assert np.isfinite(depths.offsets).all()

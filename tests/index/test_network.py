@@ -105,12 +105,6 @@ class TestPosteriorMeans:
         assert_allclose(means, expected, atol=2e-3)
 
 
-def test_input_is_the_majority_of_four_pixels(toy_index: PoseIndex) -> None:
-    silhouette = toy_index.silhouette(3)
-    doubled = np.repeat(np.repeat(silhouette[::2, ::2], 2, axis=0), 2, axis=1)
-    assert_array_equal(network_input(doubled[None])[0, ..., 0], silhouette[::2, ::2])
-
-
 def test_predicted_positions_are_likeliest() -> None:
     seen = certain(10, 40, 16)
     (there,) = seen.log_likelihood(joints(10, 40, 16))
@@ -131,13 +125,6 @@ def test_expected_errors_equal_those_of_random_draws(
     squares = (columns - place[0, :, :1]) ** 2 + (rows - place[0, :, 1:2]) ** 2
     drawn = np.sqrt(squares.mean(axis=1)).mean()
     assert seen.expected_errors(place) == pytest.approx(drawn, rel=0.01)
-
-
-def test_layers_are_restored(network: JointNetwork) -> None:
-    back = JointNetwork.restore(network.arrays())
-    for ours, theirs in zip(back.layers, network.layers, strict=True):
-        for name, values in vars(theirs).items():
-            assert_array_equal(getattr(ours, name), values)
 
 
 def test_layers_of_other_shapes_are_refused(network: JointNetwork) -> None:

@@ -9,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from index import DEFAULT_PATH
-from index.artefact import load_index
+from app.photograph import Estimator
 from index.landmark_matching import match_landmarks
 from index.landmarks import NormalisedLandmarks
 from index.search import ExactNeighbours
@@ -67,8 +66,8 @@ def first_mm(index: PoseIndex, whole: PoseIndex, entries: NDArray[np.int64]) -> 
     return 1000 * float(np.mean(errors))
 
 
-def test_permuted_descriptors_cost_the_default_answer() -> None:
-    index = load_index(DEFAULT_PATH)
+def test_permuted_descriptors_cost_the_default_answer(shipped: Estimator) -> None:
+    index = shipped.index
     clips = index.skeleton_labels["clip"][index.entries["skeleton"]]
     held_out = clips % EVERY_CLIP == 0
     rest = without(index, held_out)

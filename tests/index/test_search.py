@@ -54,13 +54,6 @@ class TestBytes:
         for one, other in zip(ours, theirs, strict=True):
             assert_array_equal(one, other)
 
-    def test_values_beyond_a_byte_do_not_overflow(self, dimension: int, spread: float) -> None:
-        ends = np.full((2, dimension), LARGEST, np.float32)
-        ends[1] *= -1
-        vectors = np.concatenate([in_steps(900, dimension, spread), ends])
-        _, numbers = ExactNeighbours(vectors).search(ends * np.float32(1.3), 1)
-        assert_array_equal(numbers[:, 0], [900, 901])
-
 
 def test_other_vectors_are_compared_as_floats() -> None:
     rng = np.random.default_rng(0)

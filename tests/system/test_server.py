@@ -61,10 +61,7 @@ def test_sigterm_finishes_all_frames_and_exits_with_status_0(
     index_path: Path, slow_frame: bytes
 ) -> None:
     running = start_server(
-        index_path,
-        POSE_CONCURRENCY="2",
-        POSE_MAX_WAIT_S="60",
-        POSE_REQUEST_TIMEOUT_S="60",
+        index_path, POSE_CONCURRENCY="2", POSE_MAX_WAIT_S="60", POSE_REQUEST_TIMEOUT_S="60"
     )
     wait_until(f"{running.url}/readyz")
     boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(3)])

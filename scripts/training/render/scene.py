@@ -224,11 +224,7 @@ class Studio:
             return clothes.placed(np.eye(3), [0.0, -float(clothes.vertices[:, 1].min()), 0.0])
 
     def body(
-        self,
-        wanted: str,
-        materials: Materials,
-        generator: Generator,
-        person: Person | None = None,
+        self, wanted: str, materials: Materials, generator: Generator, person: Person | None = None
     ) -> PosedBody | None:
         """A body, of anyone by default, in a pose of a class; None where it came out as another."""
         person = person or self.people[generator.integers(len(self.people))]

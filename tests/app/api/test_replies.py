@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.api.replies import (
-    ReplyForm,
-    joint_fields,
-    pose_reply,
-)
+from app.api.replies import ReplyForm, joint_fields, pose_reply
 from app.estimation.results import Estimate
 from app.estimation.upload import Upload
 from app.photograph import Estimator

@@ -17,13 +17,7 @@ from hypothesis import strategies as st
 from app.decoding import MIN_STEP_S, Frame
 from app.decoding.frames import Clock, TooLargeError, UnreadableError, Video
 from tests.conftest import WALKERS
-from tests.support.videos import (
-    Picture,
-    Scan,
-    numbered_frames,
-    with_display_matrix,
-    write_video,
-)
+from tests.support.videos import Picture, Scan, numbered_frames, with_display_matrix, write_video
 
 INTERLACED = {"flags": "+ildct+ilme"}
 FAST = {"libvpx": {"deadline": "realtime"}, "libvpx-vp9": {"deadline": "realtime"}}
@@ -78,14 +72,6 @@ def test_every_codec_shows_the_frames_without_interlacing(
         assert not any(frame.damaged for frame in frames)
         # Colours are rounded by up to 3; two moments in one picture differ by 6 at least.
         assert max(map(difference, (frame.pixels for frame in frames), shown)) < 4, scan
-
-
-def test_fields_of_hevc_are_pictures_of_half_the_height(tmp_path: Path) -> None:
-    fields = [frame[n % 2 :: 2] for n, frame in enumerate(pan(4))]
-    options = {"x265-params": "log-level=none:interlace=tff"}
-    frames = frames_of(write_video(tmp_path / "v.mkv", fields, "libx265", options=options))
-    assert [frame.pixel_aspect for frame in frames] == [0.5] * 4
-    assert max(map(difference, (frame.pixels for frame in frames), fields)) < 4
 
 
 @pytest.mark.parametrize("across", [1, -1])
@@ -168,14 +154,6 @@ def test_times_are_those_of_the_video(tmp_path: Path, name: str) -> None:
     times_s = [0.0, 0.1, 0.2, 0.9, 1.0, 1.5]
     video = write_video(tmp_path / name, pan(6), "mpeg4", times_s=times_s)
     assert [frame.timestamp for frame in frames_of(video)] == pytest.approx(times_s)
-
-
-def test_a_title_may_be_in_any_encoding(tmp_path: Path) -> None:
-    video = write_video(tmp_path / "v.avi", numbered_frames(3))
-    writer = re.search(rb"Lavf[\d.]+", video)
-    assert writer is not None
-    titled = video.replace(writer[0], "Küche".encode("latin-1").ljust(len(writer[0])))
-    assert len(frames_of(titled)) == 3
 
 
 def without_the_first(video: bytes, path: Path, cut_s: float) -> bytes:

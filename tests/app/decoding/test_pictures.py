@@ -4,11 +4,9 @@ import io
 import os
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -17,7 +15,8 @@ from PIL import Image
 from app.decoding.pictures import Allowance, Workers
 from app.vision.images import ImageError, ImageTooLargeError, decode_image, is_expensive
 from app.vision.masks import decode_mask
-from scripts.load.expensive import (
+from tests.app.vision.encoded import encode, quadrants, tiff
+from tests.support.expensive import (
     gif,
     tiff_circle,
     tiff_tags,
@@ -25,7 +24,6 @@ from scripts.load.expensive import (
     webp_animation,
     webp_codes,
 )
-from tests.app.vision.encoded import encode, quadrants, tiff
 
 MAX_PIXELS = 12_500_000
 
@@ -177,15 +175,6 @@ def test_a_process_that_starts_late_is_there_for_the_next_picture() -> None:
     workers.close()
 
 
-def test_callers_share_the_processes() -> None:
-    workers, data = Workers(2, 2**24, MAX_PIXELS), saved("GIF", quadrants())
-    with ThreadPoolExecutor(5) as threads:
-        calls = [threads.submit(decode, workers, data) for _ in range(20)]
-        assert all(call.result()[0].shape == (40, 60, 3) for call in calls)
-    assert 1 <= len(workers._idle) <= 2
-    workers.close()
-
-
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
 def test_the_process_is_confined(workers: Workers) -> None:
     decode(workers, saved("BMP", quadrants()))
@@ -203,8 +192,3 @@ def test_a_program_that_does_not_start_is_reported(monkeypatch: pytest.MonkeyPat
     workers = Workers(1, 2**24, MAX_PIXELS)
     with pytest.raises(RuntimeError, match="does not start"):
         decode(workers, saved("BMP", quadrants()))
-
-
-def test_jpeg_and_png_are_not_expensive() -> None:
-    assert not any(is_expensive(encode(quadrants(), one)) for one in (".jpg", ".png"))
-    assert cv2.haveImageReader("x.webp") is not None

@@ -164,13 +164,3 @@ def test_without_seccomp_nothing_can_be_opened_either(tmp_path: Path) -> None:
         out, errors = process.communicate(timeout=20)
     assert b"without seccomp: no seccomp" in errors
     assert out == b"decoded 4\n"
-
-
-def test_it_ends_quietly_when_its_output_is_closed(tmp_path: Path) -> None:
-    write_video(tmp_path / "v.avi", numbered_frames(20, 480, 640))
-    with start(tmp_path / "v.avi") as process:
-        assert process.stdout is not None and process.stderr is not None
-        assert len(process.stdout.read(1)) == 1
-        process.stdout.close()
-        assert process.stderr.read() == b""
-        assert process.wait(20) == 0

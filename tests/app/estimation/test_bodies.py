@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from app.estimation.bodies import check_bodies
 from app.estimation.upload import UploadError
+from app.photograph import Estimator
 from app.vision.masks import LabelImage
-from index import DEFAULT_PATH
-from index.artefact import load_index
 from index.store import PoseIndex
 from tests.conftest import ROOT
 
@@ -17,9 +16,9 @@ STANDING = 57850
 
 
 @pytest.fixture(scope="module")
-def index() -> PoseIndex:
+def index(shipped: Estimator) -> PoseIndex:
     """The one that ships: it judges what looks like a body."""
-    return load_index(DEFAULT_PATH)
+    return shipped.index
 
 
 def body(index: PoseIndex, entry: int) -> NDArray[np.uint8]:

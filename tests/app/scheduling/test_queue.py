@@ -126,7 +126,7 @@ def answers(clients: list[Client]) -> list[int]:
 
 class TestNobodyStarves:
     @pytest.mark.parametrize(("callers", "share"), [(1, 0.25), (8, 0.6)])
-    @pytest.mark.parametrize("takes_s", [0.04, 0.3, 0.7, 1.4])
+    @pytest.mark.parametrize("takes_s", [0.04, 1.4])
     async def test_eight_equal_clients_are_served_about_equally(
         self, takes_s: float, callers: int, share: float
     ) -> None:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from app.camera import CameraSession
 from app.estimation.results import Person
-from app.photograph import load_estimator
-from app.settings import Settings
+from app.photograph import Estimator
 from app.tracking.floor import Floor, Height, Rest
 from app.tracking.results import Event
 from app.tracking.track import Track
@@ -307,14 +306,11 @@ def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
     assert (lying.on_floor or 0) > 0.8
 
 
-@pytest.mark.parametrize(
-    ("film", "expected"), [("urfd/fall-11.mp4", 1.0), ("homes/t2vbed_mage_geton_009.mp4", 0.0)]
-)
-def test_a_session_says_where_somebody_lies_down(film: str, expected: float) -> None:
-    path = SHARED / "real" / film
+def test_a_session_says_that_who_fell_lies_on_the_floor(shipped: Estimator) -> None:
+    path = SHARED / "real" / "urfd" / "fall-11.mp4"
     if not path.exists():
         pytest.skip(f"no film {path}; set SHARED to the folder above real")
-    session = CameraSession(load_estimator(Settings()))
+    session = CameraSession(shipped)
     frames = [track(session, frame, at, 0) for at, frame in frames_at(path, 5)]
     (begun,) = [
         event
@@ -323,5 +319,5 @@ def test_a_session_says_where_somebody_lies_down(film: str, expected: float) -> 
         if (event.event, event.state) == ("lying", "begin")
     ]
     said = [one.on_floor for frame in frames for one in frame.persons if one.on_floor is not None]
-    assert np.abs(np.array([begun.on_floor, *said]) - expected).max() <= 0.2
+    assert min([begun.on_floor or 0, *said]) >= 0.8
     assert frames[0].persons[0].on_floor is None

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision import background
 from app.vision.background import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
 
@@ -51,20 +50,6 @@ def test_exposure_and_noise_are_no_change(
     assert iou(foreground(frame, empty), person) > 0.85
 
 
-def test_large_frames_are_compared_at_reduced_size(
-    empty: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    frame, person = with_person(empty)
-    exact = foreground(frame, empty)
-    monkeypatch.setattr(background, "_MAX_PX", frame[..., 0].size // 3)
-    smaller = foreground(frame, empty)
-    assert smaller.shape == exact.shape and smaller.dtype == bool
-    assert (smaller != exact).any()
-    assert iou(smaller, person) > 0.8
-    (before,), (now,) = (upright_regions(changed, 50) for changed in (smaller, exact))
-    assert before.box.iou(now.box) > 0.8
-
-
 def test_shadow_is_no_change(empty: np.ndarray) -> None:
     frame, person = with_person(empty)
     shadow = np.zeros(frame.shape[:2], bool)
@@ -84,17 +69,6 @@ def test_person_is_detected_and_cut_out(empty: np.ndarray) -> None:
     one = cut_out_changed(changed, [found[0].box])[0]
     assert one is not None and one.segmenter == "background" and not one.truncated
     assert iou(one.mask(frame.shape), person) > 0.85
-
-
-def test_background_of_another_size_is_refused(empty: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="background of shape"):
-        foreground(empty[:-1], empty)
-
-
-@pytest.mark.parametrize(("rows", "columns"), [(39, 400), (400, 5)])
-def test_nobody_fits_into_a_thin_frame(rows: int, columns: int) -> None:
-    scene = np.full((rows, columns, 3), 90, np.uint8)
-    assert upright_regions(foreground(255 - scene, scene), 50) == []
 
 
 def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) -> None:

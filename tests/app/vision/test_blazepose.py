@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.blazepose import (
-    LANDMARK_PX,
-    LandmarkNetwork,
-    MaskNetwork,
-)
+from app.vision.blazepose import LANDMARK_PX, LandmarkNetwork, MaskNetwork
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
 from tests.support.rotation import rotate_points
@@ -81,18 +77,3 @@ def test_landmarks_rotate_with_the_street(
     ):
         assert np.linalg.norm((found - expected)[LIMBS], axis=-1).mean() < 0.02 * height
     assert there.drift == pytest.approx(here.drift, abs=0.05)
-
-
-def test_windows_without_a_person_have_a_low_presence(
-    landmark_network: LandmarkNetwork, street: NDArray[np.uint8]
-) -> None:
-    blank = np.full((50, 400, 3), 127, np.uint8)
-    asphalt, grass = Box(100, 200, 30, 80), Box(60, 30, 30, 80)
-    for frame, window in (
-        *((street, PersonWindow.about_box(box)) for box in (asphalt, grass)),
-        *((blank, window) for window in (PersonWindow(-900, 30, 5), PersonWindow(200, 25, 1e-3),
-                                         PersonWindow(0, 0, 1e5))),
-    ):  # fmt: skip
-        reading = landmark_network.read(frame, window)
-        assert reading.presence < 0.5
-        assert np.isfinite(reading.landmarks.positions).all()

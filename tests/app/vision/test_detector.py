@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, detection_odds
 from app.vision.detectors.hog import hog_margin
-from app.vision.detectors.tiles import (
-    Picture,
-)
+from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.odds import sigmoid
 from app.vision.people import Detection
@@ -27,10 +25,7 @@ MIN_SCORE = "app.vision.detector.MIN_DETECTION_SCORE"
 
 
 def test_walkers_are_detected_and_nothing_else(
-    detector: NetworkDetector,
-    street: NDArray[np.uint8],
-    walkers: list[Box],
-    far_walkers: list[Box],
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
 ) -> None:
     assert found_share(detector, street, walkers) == 1
     found = scores_of(detector, street)

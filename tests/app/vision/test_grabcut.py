@@ -45,15 +45,6 @@ def test_a_person_is_cut_out_of_a_box_that_is_not_exact(off: tuple[int, int, int
     assert mask_iou(found.mask(frame.shape), mask) > 0.8
 
 
-def test_people_side_by_side_share_no_pixel() -> None:
-    frame, _ = scene()
-    frame = np.hstack([frame, frame])
-    boxes = [Box(75, 40, 90, 172), Box(235, 40, 90, 172)]
-    first, second = cut_out_by_colour(frame, boxes, SHAPE)
-    assert first is not None and second is not None
-    assert not (first.mask(frame.shape) & second.mask(frame.shape)).any()
-
-
 def test_the_same_picture_gets_the_same_silhouette_whatever_came_before() -> None:
     frame, _ = scene()
     boxes = [Box(75, 40, 50, 172)]

@@ -69,12 +69,6 @@ def test_what_has_to_be_looked_at_is_decoded_whole() -> None:
         assert halved(other, picture.shape) is None
 
 
-def test_a_dark_frame_is_dark_at_half_its_size() -> None:
-    found = halved(encode(scene(640, 480) // 16, ".jpg"), (480, 640, 3))
-    assert found is not None
-    assert found[1] == ("dark",)
-
-
 def test_large_people_are_followed_in_half_the_pixels(
     estimator: Estimator, street: NDArray[np.uint8], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,6 +1,5 @@
 """HOG: the search of a frame over many scales, and the margin of a box."""
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,15 +24,6 @@ def test_people_have_higher_margins_than_asphalt(
     assert min(people[:3]) > 0 > max(empty)
 
 
-@given(
-    x=st.floats(-400, 700), y=st.floats(-400, 700), width=st.floats(0.1, 900),
-    height=st.floats(0.1, 900),
-)  # fmt: skip
-def test_any_box_has_a_finite_margin(x: float, y: float, width: float, height: float) -> None:
-    frame = np.random.default_rng(0).integers(0, 256, (120, 90, 3)).astype(np.uint8)
-    assert -5 <= hog_margin(frame, Box(x, y, width, height)) < 20
-
-
 def detected(frame: NDArray[np.uint8], min_person_px: float | None = None) -> list[Detection]:
     return HogDetector(min_person_px).detect(Picture(frame, ()))
 
@@ -46,25 +36,6 @@ def test_walkers_are_found_at_any_size(
     found = [one.box for one in detected(frame)]
     for walker in (*walkers, *far_walkers):
         assert max(walker.scaled(factor).iou(box) for box in found) > 0.5
-
-
-def test_people_smaller_than_wanted_are_not_searched_for(
-    street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
-) -> None:
-    large = [one.box for one in detected(street, 96)]
-    assert max(walkers[1].iou(box) for box in large) > 0.5
-    for small in far_walkers:
-        assert max(small.iou(box) for box in large) < 0.5
-
-
-def test_threads_of_opencv_change_nothing(street: NDArray[np.uint8]) -> None:
-    threads = cv2.getNumThreads()
-    answers = []
-    for count in (1, 3):
-        cv2.setNumThreads(count)
-        answers.append(detected(street))
-    cv2.setNumThreads(threads)
-    assert answers[0] == answers[1]
 
 
 @settings(max_examples=5)

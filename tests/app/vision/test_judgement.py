@@ -42,10 +42,6 @@ def test_left_and_right_count_alike() -> None:
     assert_allclose(posture_numbers(mirrored), posture_numbers(points), atol=1e-9)
 
 
-def test_degenerate_bodies_have_finite_numbers() -> None:
-    assert np.isfinite(posture_numbers(np.zeros((33, 3)))).all()
-
-
 def landmarks(*parts: str) -> list[int]:
     return [LANDMARK_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts]
 
@@ -166,15 +162,6 @@ def test_bodies_lie_on_the_lines_of_sight_of_their_landmarks(
         # Of a person, whole and metres away.
         assert 1.2 < np.ptp(body.points[:, 1]) < 2.2
         assert 2 < body.origin[2] < 40
-
-
-def test_asphalt_is_nobody(
-    models: PhotographModels, landmark_network: LandmarkNetwork, street: NDArray[np.uint8]
-) -> None:
-    camera = PinholeCamera.of_frame(street.shape)
-    for box in (Box(100, 200, 30, 80), Box(60, 30, 30, 80)):
-        reading = landmark_network.read(street, PersonWindow.about_box(box))
-        assert models.judge(reading, camera).trust.person < 0.5
 
 
 @pytest.mark.parametrize("odds", [-3.0, 0.0, 2.0])

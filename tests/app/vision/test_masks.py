@@ -70,16 +70,6 @@ def test_soft_edges_answer_as_a_hard_mask(levels: int, peak: int, blur: float) -
     assert vars(box) == pytest.approx(vars(hard), abs=2)
 
 
-@given(levels=st.integers(6, 255), blur=st.sampled_from([3.5, 5.0]))
-def test_blurs_that_leave_no_figure_are_refused(levels: int, blur: float) -> None:
-    try:
-        mask = decoded(shades(levels, 255, blur))
-    except ImageError as error:
-        assert "soft edges" in str(error) or "at least 12 pixels" in str(error)
-    else:
-        assert mask.present == [1]
-
-
 def test_labels_of_people_who_hide_one_another_are_kept() -> None:
     """One who is almost covered shows a rim; a child before an adult is surrounded."""
     labels = np.zeros(FIGURE.shape, np.uint8)
@@ -157,12 +147,6 @@ def test_inverted_masks_are_refused(soft: bool) -> None:
             decoded(inverted)
 
 
-def test_a_person_may_touch_all_borders() -> None:
-    rows, columns = np.nonzero(HARD)
-    close = HARD[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
-    assert_array_equal(decoded(close.astype(np.uint8)).labels, close)
-
-
 @pytest.mark.parametrize("height", [3, 6, 10])
 def test_figures_of_a_few_pixels_are_refused(height: int) -> None:
     small = (figure(height) >= 0.5).astype(np.uint8)
@@ -194,11 +178,6 @@ def test_labels_are_found_with_their_borders(labels: NDArray[np.uint8]) -> None:
     for edge in (image.part[:1], image.part[-1:], image.part[:, :1], image.part[:, -1:]):
         assert edge.any() or not image.present
     assert (image.merged().labels == (labels > 0)).all()
-
-
-def test_labels_of_other_shapes_are_refused() -> None:
-    with pytest.raises(ValueError, match="shape"):
-        LabelImage.of(np.zeros(3, np.uint8))
 
 
 def big(labels: NDArray[np.generic]) -> NDArray[np.generic]:
@@ -237,16 +216,6 @@ def test_stored_values_of_a_mask_are_kept(depth: int, form: str) -> None:
         stored = [row.tobytes() for row in rows]
         data = png(stored, 60, depth, 0) if form == "grey" else png(stored, 60, depth, 3, *PALETTE)
     assert_array_equal(decode_mask(data, max_pixels=LIMIT).labels, labels)
-
-
-@pytest.mark.parametrize("extension", ["JPEG", "TIFF"])
-def test_lossy_mask_is_one_person(extension: str) -> None:
-    mask = np.zeros((64, 64), np.uint8)
-    mask[16:48, 16:48] = 255
-    buffer = io.BytesIO()
-    Image.fromarray(mask).save(buffer, extension, compression="jpeg")
-    answer = decode_mask(buffer.getvalue(), max_pixels=LIMIT)
-    assert (answer.labels == (mask > 0)).all()
 
 
 def blocks(*values: int) -> np.ndarray:

@@ -6,13 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from app.vision.geometry import PersonWindow
 from app.vision.optics import (
     PinholeCamera,
     place_on_sight_lines,
     roll_rotation,
     to_line_of_sight,
-    window_axes,
 )
 from tests.support.projection import project
 
@@ -29,14 +27,6 @@ def test_a_line_of_sight_becomes_the_z_axis(ray: np.ndarray) -> None:
     # The smallest rotation: what is across both directions stays.
     axis = np.cross(ray, [0, 0, 1])
     assert_allclose(rotation @ axis, axis, atol=1e-9)
-
-
-@given(st.floats(-180, 180))
-def test_the_sides_of_a_window_are_its_axes(roll: float) -> None:
-    camera = PinholeCamera.of_frame(SHAPE)
-    axes = window_axes(camera, PersonWindow(639.5, 359.5, 200.0, roll))
-    right = np.array([np.cos(np.deg2rad(roll)), np.sin(np.deg2rad(roll)), 0.0])
-    assert_allclose(axes @ right, [1, 0, 0], atol=1e-9)
 
 
 @given(st.floats(20, 120), directions)
@@ -73,21 +63,3 @@ def test_a_true_body_is_placed_where_it_is(
     placed = place_on_sight_lines(body @ axes.T, camera.rays(places), axes, np.ones(33))
     assert_allclose(placed.points, body + hips, atol=1e-4)
     assert_allclose(placed.origin, hips, atol=1e-4)
-
-
-def test_wrong_metres_end_on_the_lines_all_the_same() -> None:
-    generator = np.random.default_rng(3)
-    camera = PinholeCamera.of_frame(SHAPE)
-    places = generator.uniform(300, 420, (33, 2))
-    metres = generator.normal(0, 0.3, (33, 3))
-    placed = place_on_sight_lines(metres, camera.rays(places), np.eye(3), np.ones(33))
-    assert_allclose(project(camera, placed.points), places, atol=1e-6)
-    assert (placed.points[:, 2] > 0).all()
-
-
-def test_a_body_in_one_pixel_is_far_away_and_finite() -> None:
-    camera = PinholeCamera.of_frame(SHAPE)
-    metres = np.random.default_rng(0).normal(0, 0.3, (33, 3))
-    rays = camera.rays(np.full((33, 2), 100.0))
-    placed = place_on_sight_lines(metres, rays, np.eye(3), np.full(33, 0.05))
-    assert np.isfinite(placed.points).all()

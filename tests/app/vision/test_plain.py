@@ -13,8 +13,8 @@ from PIL.PngImagePlugin import PngInfo
 
 from app.vision.images import ImageError, decode_image
 from app.vision.plain import NotPlainError, plain
-from scripts.load.expensive import jpeg, png, with_exif
 from tests.app.vision.encoded import UPRIGHT, encode, quadrants, with_orientation
+from tests.support.expensive import jpeg, png, with_exif
 
 LIMIT = 1_000_000
 SCAN = b"\xff\xda"

@@ -23,10 +23,7 @@ def gained(detector: NetworkDetector, frame: NDArray[np.uint8], box: Box) -> flo
 
 
 def test_walkers_are_people(
-    detector: NetworkDetector,
-    street: NDArray[np.uint8],
-    walkers: list[Box],
-    far_walkers: list[Box],
+    detector: NetworkDetector, street: NDArray[np.uint8], walkers: list[Box], far_walkers: list[Box]
 ) -> None:
     for box in walkers + far_walkers:
         assert gained(detector, street, box) > 0

@@ -15,10 +15,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.same_person import first_of_body
-from app.vision.silhouettes import (
-    silhouettes_from_labels,
-    silhouettes_of,
-)
+from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
 from tests.app.painted import painted
 
 SHAPE = (240, 320, 3)
@@ -116,12 +113,6 @@ def test_inexact_box_is_widened_to_visible_limbs() -> None:
     blind = replace(reading, landmarks=unseen)
     (same,) = silhouettes_of([blind], [found], SHAPE, exact=False)
     assert (mask_of(same, SHAPE) == mask_of(exact, SHAPE)).all()
-
-
-def test_person_unseen_by_the_network_has_no_silhouette() -> None:
-    boxes = [Box(19.5, 29.5, 80, 180), Box(179.5, 29.5, 80, 180)]
-    found = silhouettes_of([painted(boxes[0], 0.1), painted(boxes[1])], boxes, SHAPE, exact=True)
-    assert found[0] is None and found[1] is not None
 
 
 @pytest.mark.parametrize(("gap", "is_cut"), [(0, True), (5, True), (14, False)])

@@ -17,18 +17,8 @@ from scripts.experiments.paper import (
     STDS_PX,
     met_at_px,
 )
-from scripts.experiments.paper_data import (
-    DATA,
-    errors_px,
-    nearest,
-    read_paper_data,
-    recognised,
-)
-from scripts.experiments.paper_descriptors import (
-    hahn_weights,
-    hu_moments,
-    weighted_polynomials,
-)
+from scripts.experiments.paper_data import DATA, errors_px, nearest, read_paper_data, recognised
+from scripts.experiments.paper_descriptors import hahn_weights, hu_moments, weighted_polynomials
 from scripts.index.descriptor_learning import view_joints
 from scripts.index.simulate import Simulation
 from tests.conftest import SHARED

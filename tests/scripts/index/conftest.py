@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from descriptor.descriptor import DiagonalDescriptor
+from index.artefact import load_index
 from index.confidence import Calibration
 from index.reranking import RankingModel
 from index.search import ExactNeighbours
@@ -19,7 +20,7 @@ from scripts.index.motion import Segment
 from scripts.index.poses import Poses, lay_down, merged, read_poses
 from scripts.index.simulate import Simulation, simulate
 from scripts.index.writer import save_index
-from tests.conftest import SHARED
+from tests.conftest import INDEXES, SHARED
 from tests.index.helpers import random_reranker
 from tests.scripts.index.toys import box_avatar, walk, write_clip
 
@@ -83,11 +84,17 @@ def body_index(simulation: Simulation) -> PoseIndex:
     return index_of(simulation)
 
 
+@pytest.fixture(scope="session")
+def toy_index() -> PoseIndex:
+    """576 silhouettes of moving figures."""
+    return load_index(INDEXES / "toy")
+
+
 @pytest.fixture
-def saved(body_index: PoseIndex, tmp_path: Path) -> Path:
-    """The index of box bodies, stored."""
+def saved(toy_index: PoseIndex, tmp_path: Path) -> Path:
+    """The index of moving figures, stored."""
     folder = tmp_path / "artefact"
-    save_index(body_index, folder)
+    save_index(toy_index, folder)
     return folder
 
 

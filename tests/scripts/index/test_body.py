@@ -3,8 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from numpy.typing import NDArray
@@ -16,32 +15,15 @@ from scripts.index.body import (
     pose_transforms,
     posed_points,
     retarget,
-    rotation_between,
     turned_to_front,
 )
 from scripts.index.motion import Clip, read_clip
 from tests.scripts.index.toys import Angles, write_clip
 
-directions = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
-
 
 def yaw_matrix(degrees: float) -> NDArray[np.float64]:
     cos, sin = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
     return np.array([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
-
-
-@given(start=directions, end=directions)
-def test_rotation_between_turns_one_direction_into_the_other(
-    start: NDArray[np.float64], end: NDArray[np.float64]
-) -> None:
-    assume(np.linalg.norm(start) > 0.01 and np.linalg.norm(end) > 0.01)
-    a, b = start / np.linalg.norm(start), end / np.linalg.norm(end)
-    assume(a @ b > -0.999)
-    rotation = rotation_between(start, end)
-    assert_allclose(rotation @ a, b, atol=1e-9)
-    assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
-    # The smallest one: its angle is the angle between the directions.
-    assert (np.trace(rotation) - 1) / 2 == pytest.approx(a @ b, abs=1e-9)
 
 
 @given(degrees=st.floats(-360, 360))

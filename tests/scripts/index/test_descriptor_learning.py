@@ -6,16 +6,9 @@ from numpy.testing import assert_array_equal
 from descriptor.descriptor import DiagonalDescriptor
 from index.skeleton import JOINTS
 from scripts.index.body import Avatar
-from scripts.index.descriptor_learning import learn_descriptor, view_joints
+from scripts.index.descriptor_learning import Recipe, learn_descriptor, view_joints
 from scripts.index.poses import Poses
-from scripts.index.simulate import Simulation, simulate
-
-
-def test_same_simulation_same_projection(simulation: Simulation) -> None:
-    one, other = (learn_descriptor(simulation, 3) for _ in range(2))
-    assert_array_equal(one.projection, other.projection)
-    assert one.dimension == 48
-    assert np.isfinite(one.projection).all()
+from scripts.index.simulate import simulate
 
 
 def test_poses_of_other_frames_are_found_better_than_by_the_papers_descriptor(
@@ -23,9 +16,10 @@ def test_poses_of_other_frames_are_found_better_than_by_the_papers_descriptor(
 ) -> None:
     """Learned on one half of the frames, asked with the other half on other views."""
     even, odd = poses.take(np.arange(0, 48, 2)), poses.take(np.arange(1, 48, 2))
-    known = simulate(even, avatars, bodies=2, views=10, seed=1)
+    known = simulate(even, avatars, bodies=1, views=10, seed=1)
     asked = simulate(odd, avatars, bodies=1, views=4, seed=2)
-    learned = learn_descriptor(known, 0)
+    learned, again = (learn_descriptor(known, 0, Recipe(14, 8)) for _ in range(2))
+    assert_array_equal(learned.projection, again.projection)
 
     def error_m(describe: DiagonalDescriptor | object) -> float:
         index, queries = known.describe(describe), asked.describe(describe)  # type: ignore[arg-type]

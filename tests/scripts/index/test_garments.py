@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from scripts.index.body import Avatar, BaseMesh
 from scripts.index.garments import GarmentError, dress, fit, read_garment
@@ -46,16 +46,6 @@ def base() -> BaseMesh:
     weights = np.zeros((8, 10), np.float32)
     weights[np.arange(8), np.arange(8) // 2] = 1
     return BaseMesh(corners, weights, triangles)
-
-
-def test_reads_anchors_ranges_and_faces(patch: Path) -> None:
-    garment = read_garment(patch)
-    assert garment.name == "patch"
-    assert_array_equal(garment.anchors, [[0, 1, 2], [3, 3, 3], [4, 5, 6], [7, 7, 7]])
-    assert_allclose(garment.shares[1], [1, 0, 0])
-    assert_allclose(garment.offsets[2], [2, 0, 0])
-    assert_array_equal(garment.triangles, [[0, 1, 2], [0, 2, 3]])
-    assert_array_equal(garment.hidden, [0, 1, 2, 5])
 
 
 def test_fit_on_the_reference_body(patch: Path, base: BaseMesh) -> None:

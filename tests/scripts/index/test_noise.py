@@ -10,12 +10,12 @@ from scripts.index.simulate import Simulation
 
 @pytest.fixture(scope="module")
 def silhouettes(simulation: Simulation) -> np.ndarray:
-    return simulation.silhouettes(slice(0, 200))
+    return simulation.silhouettes(slice(0, 50))
 
 
 @pytest.fixture(scope="module")
 def joints(simulation: Simulation) -> np.ndarray:
-    return view_joints(simulation)[1][:200]
+    return view_joints(simulation)[1][:50]
 
 
 def test_overlaps_with_the_truth_as_real_silhouettes_do(

@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from descriptor.silhouette import is_wide, principal_axis_deg
 from scripts.index.body import Avatar
-from scripts.index.descriptor_learning import view_joints
 from scripts.index.poses import Poses, joints_of
 from scripts.index.simulate import Simulation, simulate
 
@@ -22,7 +21,7 @@ def assert_same(one: Simulation, other: Simulation) -> None:
         )
 
 
-@pytest.mark.parametrize(("cores", "batch"), [(1, 100), (3, 7), (16, 100)])
+@pytest.mark.parametrize(("cores", "batch"), [(1, 100), (3, 7)])
 def test_same_bytes_on_any_number_of_cores_in_tasks_of_any_size(
     poses: Poses, avatars: list[Avatar], simulation: Simulation, cores: int, batch: int,
     monkeypatch: pytest.MonkeyPatch,
@@ -48,14 +47,6 @@ class TestWideBodies:
         # They were measured in a smaller picture; what is nearly round has hardly an axis.
         assert np.quantile(axes, 0.95) < 2
         assert axes.max() < 10
-
-    def test_have_their_joints_on_the_silhouette(self, ground_simulation: Simulation) -> None:
-        _, joints_2d = view_joints(ground_simulation)
-        x, y = np.moveaxis(np.rint(joints_2d).astype(int), -1, 0)
-        silhouettes = ground_simulation.silhouettes(slice(None))
-        inside = silhouettes[np.arange(len(silhouettes))[:, None], y.clip(0, 127), x.clip(0, 47)]
-        assert inside[rolled(ground_simulation)].mean() > 0.97
-        assert inside.mean() > 0.97
 
 
 def test_skeletons_are_the_joints_of_their_pose(

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from index.skeleton import JOINT_NAMES, rows
-from scripts.index.body import (
-    Avatar,
-    Phenotype,
-    make_avatar,
-)
+from scripts.index.body import Avatar, Phenotype, make_avatar
 from scripts.training.motions import DAILY, Motions
 from tests.conftest import SHARED
 

@@ -12,28 +12,6 @@ LARGE = 3528, 3536
 """Rows and columns of almost as many pixels as the service takes by default."""
 
 
-def expensive() -> dict[str, bytes]:
-    """Return files of at most 4 MB by what they are; the largest are made of noise."""
-    return {
-        "a progressive JPEG of 1500 scans": jpeg(1500),
-        "a progressive JPEG of as many scans as are allowed": jpeg(30),
-        "a sequential JPEG of 1500 scans": jpeg(1500, progressive=False),
-        "a JPEG whose EXIF tags hold all of EXIF": with_exif(jpeg(0, (64, 64))),
-        "a PNG with 60 texts behind its pixels": png(texts=60),
-        "a PNG with texts before its pixels": png(texts=60, behind=False),
-        "a PNG of 16 bits in seven passes": interlaced_png(),
-        "a TIFF with one tile of 12288": tiff_tile(12288),
-        "a TIFF each strip of which is the whole file": tiff_strips(),
-        "a TIFF each tag of which is the whole file": tiff_tags(),
-        "a TIFF whose directories form a circle": tiff_circle(),
-        "a GIF of 2000 pictures": gif(2000),
-        "a GIF whose picture is larger than the canvas": gif(1, (65_535, 65_535)),
-        "a WebP of 65536 codes": webp_codes(),
-        "a WebP of 300 pictures": webp_animation(300),
-        "a BMP of runs": bmp(),
-    }
-
-
 def jpeg(scans: int, shape: tuple[int, int] = LARGE, *, progressive: bool = True) -> bytes:
     """A grey JPEG; its scans beyond the first two change nothing."""
     rows, columns = shape
