@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture
-from app.vision.appearance import Patch
+from app.scene import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust

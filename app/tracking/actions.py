@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
+from app.networks.probabilities import softmax
 from app.networks.shipped import arrays_of
 from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.odds import softmax
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.falls import FallWatch, Observation
-from app.tracking.filtering import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.results import Event, EventName
 from index.posture import POSTURES
 
@@ -55,7 +55,7 @@ class EventDetector:
         events = []
         for name, state in self._states.items():
             share = 0.0 if rests and name == "lying" else float(shares[POSTURES.index(name)])
-            if change := state.update(share, step):
+            if change := state.change(share, step):
                 events.append(Event(name, change, timestamp, state.level))
         if self._falls.update(timestamp, observation.row(), rests=rests):
             events.append(Event("fell", "instant", timestamp, self._falls.probability))

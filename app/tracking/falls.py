@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.probabilities import MAX_STEP_S, LowPass, sigmoid
 from app.networks.shipped import arrays_of
-from app.tracking.filtering import MAX_STEP_S, LowPass
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES
-from app.vision.odds import sigmoid
 from app.vision.people import landmark_rows
 from app.vision.truncation import gaps_to_border
 

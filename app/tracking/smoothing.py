@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person, ProjectedHypothesis
+from app.networks.probabilities import log_odds, probability_of, softmax
 from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
-from app.vision.odds import log_odds, probability_of, softmax
 from app.vision.people import Silhouette
 from index.facing import azimuth_deg
 from index.posture import UPRIGHT, vote_posture

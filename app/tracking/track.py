@@ -16,6 +16,8 @@ from app.estimation.posture import (
     PostureFilter,
 )
 from app.estimation.results import Facing, FacingSource, Person
+from app.networks.probabilities import log_odds, probability_of
+from app.scene import Patch
 from app.tracking.actions import ActionRecogniser, PoseSample
 from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
@@ -26,10 +28,8 @@ from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
-from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.halved import Frame
-from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
 from index.posture import (
     POSTURES,

@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window, transform_points
 from app.vision.halved import Frame
-from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 
 LANDMARKS = len(LANDMARK_NAMES)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
+from app.networks.probabilities import sigmoid
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
-from app.vision.odds import sigmoid
 from app.vision.optics import (
     PinholeCamera,
     place_on_sight_lines,

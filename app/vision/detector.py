@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import logit, sigmoid
 from app.networks.shipped import constants_of
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
@@ -20,7 +21,6 @@ from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
 from app.vision.halved import Frame, seen_at
-from app.vision.odds import logit, sigmoid
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
 from app.vision.rescoring import ObjectNetwork

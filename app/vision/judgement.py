@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
+from app.networks.probabilities import log_odds, logit, probability_of, sigmoid, softmax
 from app.networks.shipped import NetworkError, arrays_of, read_arrays
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.depth import HIPS, Body3D, DepthModel, body_of
-from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
 

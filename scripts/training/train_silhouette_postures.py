@@ -21,8 +21,8 @@ from scipy.optimize import minimize
 from torch import nn
 
 from app.estimation.posture import LANDMARK_GROUPS
+from app.networks.probabilities import softmax
 from app.vision.judgement import FRAME_POSTURES
-from app.vision.odds import softmax
 from index import DEFAULT_PATH
 from index.artefact import load_index
 from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.networks.tflite import TfliteNetwork
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import PersonWindow, non_max_suppression, resize
 from app.vision.halved import whole
-from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
 DETECTOR_PX = 224

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.vision.detectors.tiles import MAX_FINE_PX, Picture
 from app.vision.geometry import Box, Boxes, iou_matrix, resize
 from app.vision.halved import whole
-from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
 PERSON_PX = 96
