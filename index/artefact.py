@@ -23,9 +23,8 @@ from index import DEFAULT_PATH
 from index.arrays import load_array, load_arrays
 from index.confidence import RERANKING_FEATURES, Calibration
 from index.network import JointNetwork
-from index.reranking import RankingModel
+from index.reranking import PostureNetwork, RankingModel
 from index.search import ExactNeighbours, Neighbours
-from index.silhouette_posture import PostureNetwork
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex

@@ -22,7 +22,6 @@ from index.candidates import (
     silhouette_rotations,
 )
 from index.confidence import LANDMARK_CONFIDENCE, LANDMARK_FEATURES
-from index.facing import azimuth_deg, faces_camera, front_share, likeliest_of_both_facings
 from index.landmarks import (
     DISTANCE_WEIGHT,
     Agreement,
@@ -46,6 +45,7 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, depth_modes, find_modes, likely_weights
+from index.posture import azimuth_deg, faces_camera, front_share, likeliest_of_both_facings
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import outline_distances
 from index.candidates import Candidates, RotatedQuery
-from index.facing import azimuth_deg
 from index.modes import Modes
 from index.posture import (
     POSTURES,
     PostureName,
+    azimuth_deg,
     camera_up,
     classify_postures,
     lying_elevation_deg,
@@ -292,5 +292,5 @@ def votes_of(voters: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
 
 
 def headings(hypotheses: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
-    """Azimuths ``(N,)`` of the camera about hypotheses; see :func:`index.facing.azimuth_deg`."""
+    """Azimuths ``(N,)`` of the camera about hypotheses; see :func:`index.posture.azimuth_deg`."""
     return azimuth_deg(np.array([one.points_3d for one in hypotheses]))

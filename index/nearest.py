@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates, silhouette_rotations
-from index.facing import front_share
 from index.matching import DEFAULT_HYPOTHESES, Match, PoseHypothesis, Query, headings, votes_of
 from index.modes import Modes
+from index.posture import front_share
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import RIGHT_BELOW_PX
-from index.facing import front_share
 from index.matching import (
     CANDIDATES_PER_HYPOTHESIS,
     DEFAULT_HYPOTHESES,
@@ -29,6 +28,7 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, candidate_weights, find_modes
+from index.posture import front_share
 from index.ranking import DistanceRanking, NetworkRanking
 from index.skeleton import JOINTS, exchange_sides, mean_joint_distance, reversed_in_depth
 from index.store import PoseIndex

@@ -15,7 +15,7 @@ from app.estimation.results import Person
 from app.networks.dense import shipped_network
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.people import LANDMARK_NAMES, Landmarks
-from index.facing import azimuth_deg
+from index.posture import azimuth_deg
 from index.skeleton import (
     FACE_NAMES,
     LIMB_HIPS,

@@ -22,8 +22,7 @@ from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
 from app.vision.people import Silhouette
-from index.facing import azimuth_deg
-from index.posture import UPRIGHT, vote_posture
+from index.posture import UPRIGHT, azimuth_deg, vote_posture
 from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths
 
 _SHOULDERS, _HIPS = side_rows("shoulder"), side_rows("hip")

@@ -2,28 +2,34 @@
 
 The detectors are in :mod:`app.vision.detectors`. HOG scores the boxes of the first one again. For a
 doubtful person, an object detector compares the person with animals and furniture.
+
+References
+----------
+.. [1] M. Sandler et al., "MobileNetV2: Inverted Residuals and Linear Bottlenecks", CVPR 2018.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.probabilities import logit, sigmoid
 from app.networks.shipped import constants_of
+from app.networks.tflite import TfliteNetwork
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
 from app.vision.detectors.hog import PERSON_PX, hog_margin
-from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import Box, PersonWindow, sample_window
 from app.vision.halved import Frame, seen_at
+from app.vision.movenet import MIN_MOVENET_SCORE
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
-from app.vision.rescoring import ObjectNetwork
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3
@@ -41,6 +47,43 @@ DOUBTFUL = (0.2, 0.8)
 _OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
 # Probability from which a detection close to others may be a person partly hidden by them.
 _MIN_HIDDEN_PROBABILITY = 0.15
+
+
+_CLASSES = (
+    "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
+    "monitor", "box", "mug", "coffee cup", "stationary bicycle", "table", "bottle", "high heels",
+    "vehicle", "footwear", "dog", "book", "camera", "car",
+)  # fmt: skip
+_PERSON = _CLASSES.index("person")
+# Clothes and other things that people wear do not count as other objects.
+_WORN = ("boot", "high heels", "footwear")
+_OTHERS = [row for row, name in enumerate(_CLASSES) if name not in ("background", "person", *_WORN)]
+_OBJECTS_PX = 192
+# Grids of anchors: cells a side, anchors of a cell, and the cells in the middle of the window.
+_GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
+
+
+class ObjectNetwork(TfliteNetwork):
+    """MediaPipe's object detector, a MobileNet [1]_ trained on Open Images, on given windows."""
+
+    def __init__(self, path: Path, **share: int) -> None:
+        outputs = [(cells, cells, anchors * len(_CLASSES)) for cells, anchors, _ in _GRIDS]
+        super().__init__(path, [(_OBJECTS_PX, _OBJECTS_PX, 3)], outputs, **share)
+
+    def log_odds(self, frame: Frame, window: PersonWindow) -> tuple[float, float]:
+        """Log odds of a person, and of the likeliest other object, in the middle of a window.
+
+        Anchors fit objects about half as wide as the window; the largest log odds count. The frame
+        is BGR, ``(H, W, 3)``.
+        """
+        seen = cv2.cvtColor(sample_window(frame, window.on_grid(), _OBJECTS_PX), cv2.COLOR_BGR2RGB)
+        maps = self.run(seen / np.float32(127.5) - 1)
+        anchors = [
+            grid[cells, cells].reshape(-1, len(_CLASSES))
+            for grid, (_, _, cells) in zip(maps, _GRIDS, strict=True)
+        ]
+        best = np.concatenate(anchors).max(axis=0)
+        return float(best[_PERSON]), float(best[_OTHERS].max())
 
 
 class NetworkDetector:

@@ -329,27 +329,35 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask if keep.all() else np.append(False, keep)[labels]
 
 
-def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
+MIN_FILL = 0.12
+"""Share of a box that a silhouette fills, below which nobody was cut out."""
 
-    A lamp post may separate a leg from the body, so a person may consist of several components.
+# Area of a part of a body, relative to the largest part.
+_MIN_PART = 0.1
+
+
+def cleaned(mask: NDArray[np.bool_], *, max_hole: float) -> NDArray[np.bool_]:
+    """A body's mask ``(H, W)`` without small parts, and without holes of up to a share of it.
+
+    A lamp post may separate a leg from the body. Larger holes stay: the gap between arm and trunk
+    shows the pose.
     """
+    return _fill_small_holes(_keep_components(mask), max_hole)
+
+
+def _keep_components(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if _parts_and_holes(mask)[0] < 2:
         return mask
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    keep = areas >= share * areas.max()
+    keep = areas >= _MIN_PART * areas.max()
     keep[0] = False
     keep[areas.argmax()] = True
     return keep[labels]
 
 
-def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Fill holes of a mask ``(H, W)`` of up to ``share`` of its area.
-
-    Larger ones stay: the gap between arm and trunk shows the pose.
-    """
+def _fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     if not _parts_and_holes(mask)[1]:
         return mask
     limit = share * np.count_nonzero(mask)

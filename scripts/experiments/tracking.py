@@ -21,7 +21,7 @@ from app.tracking.results import SmoothedPose
 from app.tracking.smoothing import SMOOTHING, Smoothed
 from app.vision.people import Silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.facing import azimuth_deg
+from index.posture import azimuth_deg
 from index.skeleton import exchange_sides, mean_joint_distance, wrap_degrees
 from index.store import PoseIndex
 from scripts.filming import FPS, Filmed, film

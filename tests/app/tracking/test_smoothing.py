@@ -11,8 +11,7 @@ from app.tracking.body import SeenBody
 from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
 from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
 from app.vision.people import Landmarks, Silhouette
-from index.facing import azimuth_deg
-from index.posture import POSTURES
+from index.posture import POSTURES, azimuth_deg
 from index.skeleton import (
     POINT_NAMES,
     POINTS,

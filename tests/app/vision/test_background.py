@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision import background
-from app.vision.background import cut_out_changed, foreground, upright_regions
+from app.vision import cutting
+from app.vision.cutting import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
 
 
@@ -56,7 +56,7 @@ def test_large_frames_are_compared_at_reduced_size(
 ) -> None:
     frame, person = with_person(empty)
     exact = foreground(frame, empty)
-    monkeypatch.setattr(background, "_MAX_PX", frame[..., 0].size // 3)
+    monkeypatch.setattr(cutting, "_MAX_PX", frame[..., 0].size // 3)
     smaller = foreground(frame, empty)
     assert smaller.shape == exact.shape and smaller.dtype == bool
     assert (smaller != exact).any()
