@@ -45,11 +45,10 @@ class Descriptor(Protocol):
 
 @dataclass(frozen=True)
 class DiagonalDescriptor:
-    """The paper's 48 values [1]_: diagonal moments (n = m) in two regions of the body.
+    """The paper's 48 values [1]_: diagonal moments of orders 0 to 23, in two regions of the body.
 
-    The 24 orders are 0 to 23. ``p1 = 0.5`` centres the polynomials horizontally;
-    ``p2 = 0.1`` concentrates the first 24 values on the upper body and ``p2 = 0.95`` the
-    last 24 on the lower body.
+    ``p1 = 0.5`` centres the polynomials horizontally; ``p2 = 0.1`` concentrates the first 24 values
+    on the upper body and ``p2 = 0.95`` the last 24 on the lower body.
     """
 
     orders: int = 24
@@ -173,10 +172,7 @@ def restore(
 ) -> Descriptor:
     """The descriptor that a manifest names, from what its methods of these names returned.
 
-    Raises
-    ------
-    ValueError
-        If the name is unknown or the parameters do not fit it.
+    Raises ValueError if the name is unknown or the parameters do not fit it.
     """
     name = parameters.get("name")
     try:

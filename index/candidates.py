@@ -144,9 +144,9 @@ def _candidates(
 def _nearest_entries(
     index: PoseIndex, vectors: NDArray[np.float32], k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Rows of the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
+    """The ``k`` entries nearest to each of several descriptors ``(Q, D)``, in one search.
 
-    Also returns whether each was found as its mirror image, and the descriptor that it is near.
+    Also whether each was found as its mirror image, and the row of the descriptor that it is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     entry_ids, nearest_variant = index.search(variants, k)

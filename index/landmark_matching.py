@@ -1,8 +1,8 @@
 """From a silhouette and landmarks to distinct poses in the order of their rank.
 
-The entries nearest to the silhouette are candidates. They are weighted by their agreement with the
-landmarks, and modes are fitted to the landmarks. The best mode is also returned at other depths.
-Hypotheses include both facings.
+The entries nearest to the silhouette are weighted by their agreement with the landmarks, and their
+modes are fitted to the landmarks. The best mode is also returned at other depths. Hypotheses
+include both facings.
 """
 
 import math
@@ -164,10 +164,10 @@ class _LandmarkQuery(Query):
     ) -> tuple[Modes, dict[str, NDArray[np.float64]]]:
         """Modes fitted to the landmarks, likeliest first, and other fields of their hypotheses.
 
-        The nearest is chosen before the fit: a pose that must change far to fit is less likely. It
-        follows the landmarks, and no other is said to be likelier. Their centres become the entries
-        that look most like them: of the candidates ``(K,)`` that face as they do, one with the same
-        silhouette, or else the typical one with the nearest.
+        The nearest is chosen before the fit, since a pose that must change far to fit is less
+        likely; it follows the landmarks, and no other is said to be likelier. Their centres become
+        the entries that look most like them: of the candidates ``(K,)`` that face as they do, one
+        with the same silhouette, or else the typical one with the nearest.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
         entries = candidates.take(modes.centres)

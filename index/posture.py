@@ -139,21 +139,11 @@ def classify_postures(
     up: ArrayLike,
     speed: ArrayLike = 0.0,
 ) -> NDArray[np.int64]:
-    """Classify the postures of skeletons.
+    """Positions ``(N,)`` in :data:`POSTURES` of skeletons ``(N, P, 3)``, metres in any axes.
 
-    Parameters
-    ----------
-    points_3d : (N, P, 3) float array
-        Metres, in any axes; the first 19 points are the joints.
-    up : (3,) or (N, 3) float array
-        Unit vectors away from the ground, in the same axes.
-    speed : float or (N,) array
-        Horizontal speed, metres per second; it separates walking and running from standing.
-
-    Returns
-    -------
-    (N,) int64 array
-        Positions in :data:`POSTURES`.
+    Their first 19 points are the joints; ``up`` ``(3,)`` or ``(N, 3)`` are unit vectors away from
+    the ground. The horizontal speed, in metres a second, separates walking and running from
+    standing.
     """
     joints = np.asarray(points_3d, np.float64)[:, :JOINTS]
     up = np.asarray(up, np.float64)
@@ -206,10 +196,7 @@ def classify_postures(
 
 
 def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Share ``(10,)`` of each of ``POSTURES`` in the votes of one or more hypotheses.
-
-    They vote for their postures with their confidences.
-    """
+    """Share ``(10,)`` of each of ``POSTURES`` in the weighted votes of one or more hypotheses."""
     votes = np.zeros(len(POSTURES))
     for posture, weight in zip(postures, weights, strict=True):
         votes[POSTURES.index(posture)] += weight + 1e-9  # Equal votes if all weights are 0.
@@ -223,9 +210,9 @@ def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Elevation of the camera ``(N,)`` that makes trunks most nearly level.
+    """Elevations ``(N,)`` of the camera that make trunks of skeletons ``(N, P, 3)`` nearly level.
 
-    Skeletons ``(N, P, 3)`` are in the axes of a camera that is not rolled.
+    They are in the axes of a camera that is not rolled.
     """
     pelvis, neck = rows("pelvis", "neck")
     trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)
@@ -264,9 +251,9 @@ wrong."""
 def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     """Azimuths ``(...)`` of the camera about shoulders and hips of skeletons ``(..., 24, 3)``.
 
-    In degrees from -180 to 180: 0 in front, 90 on the person's left. They do not depend on the
-    direction of the trunk in the picture, since people lying down may face the camera as well.
-    Skeletons are in camera axes.
+    In degrees from -180 to 180: 0 in front, 90 on the person's left, whatever the direction of the
+    trunk in the picture: people lying down may face the camera as well. Skeletons are in camera
+    axes.
     """
     corners = np.asarray(points_3d[..., _CORNERS, :], np.float64)
     across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
@@ -296,9 +283,8 @@ def likeliest_of_both_facings(
 ) -> list[int]:
     """Choose ``count`` rows of hypotheses, with each facing as frequent as it is likely.
 
-    The likeliest is among them, and so is one in :data:`HYPOTHESES_PER_OPPOSITE_FACING` that faces
-    the opposite way, however unlikely it is, as long as there are any. Rows come in the order of
-    their confidences.
+    The likeliest is among them, and one in :data:`HYPOTHESES_PER_OPPOSITE_FACING` that faces the
+    opposite way, as long as there are any. Rows come in the order of their confidences.
     """
     order: list[int] = np.argsort(-confidences, kind="stable").tolist()
     front = faces_camera(azimuths_deg)

@@ -112,10 +112,7 @@ class NetworkRanking(DistanceRanking):
         return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:
-        """Descriptor distances ``(M,)``, increased more the less likely the joints are.
-
-        The likeliest mode keeps its distance.
-        """
+        """Descriptor distances ``(M,)``, increased the more, the less likely the joints are."""
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
         return modes.distances * np.exp(self.model.order_weight * lacking)

@@ -38,7 +38,7 @@ MIN_VOTE = 0.01
 def posture_inputs(hidden: Array, roll_deg: NDArray[np.floating] | float) -> Array:
     """Inputs ``(..., 514)``, whole numbers, from values of the hidden layer ``(..., 512)``.
 
-    They include whether a wide silhouette was rotated upright, and how far: this distinguishes
+    They include whether a wide silhouette was rotated upright, and how far, which distinguishes
     lying from standing people.
     """
     rolls_deg = np.abs(np.asarray(roll_deg, np.float32))

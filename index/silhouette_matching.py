@@ -1,8 +1,7 @@
-"""From a silhouette alone to distinct poses in the order of their rank.
+"""From a silhouette alone to distinct poses in the order of their confidences.
 
-Modes of the entries nearest to the silhouette are chosen by their distances. If the index has a
-network, the likelihood that it gives to their joints counts as well. They come in the order of
-their confidences.
+Modes of the entries nearest to the silhouette are chosen by their distances and, if the index has a
+network, by the likelihood that it gives to their joints.
 """
 
 from dataclasses import replace
@@ -153,7 +152,7 @@ class _SilhouetteQuery(Query):
     def _modes(self, n: int) -> tuple[Candidates, Modes, NDArray[np.float64]]:
         """About ``n`` modes, nearest first, with their distances, and their candidates.
 
-        The number of candidates grows until they have ``n`` modes or the index has no more entries.
+        The candidates grow in number until they have ``n`` modes or the index has no more entries.
         """
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]

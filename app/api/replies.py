@@ -29,7 +29,7 @@ SIZE_SD = 0.1
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Count the pixels of a frame down its columns, in turn outside and inside a silhouette.
 
-    The first count is of pixels outside; it is 0 if the first pixel lies inside.
+    The first count, of pixels outside, is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
     # Working in one dimension is several times as fast; no run crosses the margin of a column.
@@ -64,7 +64,7 @@ def compressed(counts: NDArray[np.int64]) -> str:
 
 
 def polygon(silhouette: Silhouette) -> list[list[float]]:
-    """Return the outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in frame pixels.
+    """Outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in frame pixels.
 
     They run through the centres of the outermost pixels and have at least three points, as COCO
     requires; holes are omitted.
@@ -107,8 +107,7 @@ def pose_reply(
 ) -> schemas.PoseResponse:
     """Write the answer to a frame.
 
-    ``checkpoint`` is called before each person; it raises an error if the answer is no longer
-    wanted.
+    ``checkpoint`` is called before each person; it raises an error if the answer is not wanted.
     """
 
     def write(person: Person) -> schemas.Person:

@@ -60,11 +60,8 @@ def likeliest_posture(
 ) -> EstimatedPosture:
     """The likeliest posture, given its shares ``(10,)``.
 
-    ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
-    hypothesis.
-
-    If no hypothesis fits, votes and landmarks are doubtful as well, so the confidence of the best
-    hypothesis limits the probability.
+    ``presence`` is the probability that there is a person at all. If no hypothesis fits, votes and
+    landmarks are doubtful as well, so the confidence of the best one limits the probability.
     """
     best = int(shares.argmax())
     limit = MIN_PROBABILITY + _CONFIDENCE_SLOPE * confidence

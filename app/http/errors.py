@@ -30,8 +30,8 @@ _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
 class ProblemError(Exception):
     """An error response, raised where the error is found.
 
-    The detail is one sentence for the client; ``field`` is the parameter or form field at fault.
-    The reason is one word for programs, by default the status in words.
+    The detail is one sentence for the client; ``field`` is the parameter or form field at fault;
+    the reason is one word for programs, by default the status in words.
     """
 
     def __init__(

@@ -69,7 +69,7 @@ def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
 
 
 def position_of_key(api_keys: Sequence[SecretStr], given: Iterable[str | None]) -> int | None:
-    """Return the position of the first configured key among those given, None if there is none.
+    """The position of the first configured key among those given, None if there is none.
 
     All pairs are compared, each in constant time, so that the duration reveals nothing.
     """

@@ -58,10 +58,7 @@ class CameraCollector(Collector):
 
 
 class Metrics:
-    """The metrics of an application, in a registry of its own.
-
-    Frames are abandoned after ``deadline_s``, the last bound of the durations.
-    """
+    """The metrics of an application; ``deadline_s`` is the longest duration."""
 
     def __init__(self, deadline_s: float = 10.0) -> None:
         self.registry = CollectorRegistry()

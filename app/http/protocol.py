@@ -34,10 +34,10 @@ _REASONS = {status.value: status.phrase.encode() for status in HTTPStatus}
 class HttpProtocol(asyncio.Protocol):
     """A connection: its requests one after the other, each parsed apart from all others.
 
-    A connection is closed if the head of a request is late or too large, or so are the headers
-    after a body, or a body comes in tiny chunks, since all other clients wait while they are
-    parsed; and if the client does not read a reply. What comes before the reply to an earlier
-    request is neither parsed nor, beyond a segment, read.
+    It is closed if the head of a request is late or too large, or so are the headers after a body,
+    or a body comes in tiny chunks, since all other clients wait while they are parsed; and if the
+    client does not read a reply. What comes before the reply to an earlier request is neither
+    parsed nor, beyond a segment, read.
     """
 
     head_timeout_s = 10.0

@@ -107,8 +107,7 @@ class NetworkPass:
 def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
     """Interpolate feature maps ``(N, S, S, C)`` linearly at the landmarks: ``(N, 33, C)``.
 
-    Points are those of :class:`NetworkPass`. Beyond the map's outermost cells, their values are
-    repeated.
+    Points are those of :class:`NetworkPass`. Beyond the outermost cells, their values are repeated.
     """
     count, size = maps.shape[:2]
     places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / LANDMARK_PX) - 0.5

@@ -73,8 +73,7 @@ class ObjectNetwork(TfliteNetwork):
     def log_odds(self, frame: Frame, window: PersonWindow) -> tuple[float, float]:
         """Log odds of a person, and of the likeliest other object, in the middle of a window.
 
-        Anchors fit objects about half as wide as the window; the largest log odds count. The frame
-        is BGR, ``(H, W, 3)``.
+        Anchors fit objects about half as wide as the window; the largest log odds count.
         """
         seen = cv2.cvtColor(sample_window(frame, window.on_grid(), _OBJECTS_PX), cv2.COLOR_BGR2RGB)
         maps = self.run(seen / np.float32(127.5) - 1)
@@ -89,17 +88,10 @@ class ObjectNetwork(TfliteNetwork):
 class NetworkDetector:
     """Finds people with several detectors; thread-safe.
 
-    HOG may raise a score but never lowers it, since it recognises only standing people.
-
-    Parameters
-    ----------
-    detectors : sequence of Detector
-        The first finds people of any size. The others add scores to these people, and find people
-        that the first misses. Each has a weight, see :func:`detection_odds`.
-    landmarks : LandmarkNetwork
-        Confirms people that the first detector misses.
-    objects : ObjectNetwork
-        Compares doubtful people with other objects.
+    The first detector finds people of any size; the others add scores to these people, and find
+    people that it misses, whom the landmark network confirms. HOG may raise a score but never
+    lowers it, since it recognises only standing people. Doubtful people are compared with other
+    objects.
     """
 
     def __init__(
@@ -119,19 +111,13 @@ class NetworkDetector:
         known_boxes: Sequence[Box] = (),
         min_person_px: float | None = None,
     ) -> tuple[list[Detection], list[Detection]]:
-        """Find the people of a frame ``(H, W, 3)``, BGR, and possible people beside them.
+        """Find the people of a frame, and possible people beside them, best first.
 
         ``expected_boxes`` surround people who were visible a moment ago and have not left the
-        frame; ``known_boxes`` surround people who need no comparison with other objects. The
-        smallest person wanted is ``min_person_px`` high, by default a share of the frame's height.
-
-        Returns
-        -------
-        people : list of Detection
-            Best first.
-        perhaps_beside : list of Detection
-            Detections that overlap these people, best first. They count as parts of these people
-            unless a reading beside these shows another body.
+        frame; ``known_boxes`` people who need no comparison with other objects. The smallest person
+        wanted is ``min_person_px`` high, by default a share of the frame's height. Possible people
+        overlap others; they count as parts of these unless a reading beside these shows another
+        body.
         """
         people, scores, others = self.candidates(frame, min_person_px)
         odds = detection_odds(scores)
@@ -180,15 +166,10 @@ class NetworkDetector:
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
         """Find all candidates of all detectors, however low their score.
 
-        Returns
-        -------
-        people : list of Detection
-            One for each person, with the first detector's score and the windows of the others.
-        scores : (N, 3) float64 array
-            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
-            finds no person.
-        others : list of Detection
-            Other people in the boxes of these, with their probabilities.
+        Returns one detection for each person, with the first detector's score and the windows of
+        the others; scores ``(N, 3)``: MoveNet's score, HOG's margin, and the score of BlazePose's
+        detector, 0 where a detector finds no person; and other people in these boxes, with their
+        probabilities.
         """
         picture = Picture.of(frame, min_person_px)
         columns = 2 + len(self._others)

@@ -77,10 +77,7 @@ class KeypointReader:
         self._network = network
 
     def read(self, frame: Frame, box: Box) -> ObservedKeypoints | None:
-        """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
-
-        They are in pixels of the frame; None if the network finds no person in the box.
-        """
+        """Keypoints of the person in a tight box of a frame, pixels; None if there is nobody."""
         pixels, seen = seen_at(frame, _ENOUGH_PX / max(keypoint_window(box)[0][2:]))
         keypoints = self._read(pixels, box.scaled(seen))
         return keypoints and keypoints.scaled(1 / seen)
@@ -209,12 +206,9 @@ _MIN_CENTRE_SCORE = 0.03
 def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
 
-    Parameters
-    ----------
-    heads : sequence of (h, w, C) float32 arrays
-        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
-        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
-        cell (34); rows before columns, in cells.
+    The heads ``(h, w, C)``, rows before columns, in cells: centres (1 channel), sizes of boxes (2),
+    centres of boxes (2), first guesses of keypoints from a centre (34), heatmaps of keypoints (17),
+    and the position of each keypoint in its cell (34).
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))

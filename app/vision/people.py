@@ -175,10 +175,7 @@ class Silhouette:
         return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
 
     def outlines(self, method: int) -> Sequence[NDArray[np.int32]]:
-        """Outlines ``(P, 1, 2)`` of the parts, without holes, in pixels of the frame.
-
-        The method is one of OpenCV's ``CHAIN_APPROX_...``.
-        """
+        """Outlines ``(P, 1, 2)`` of the parts, frame pixels, by OpenCV's ``CHAIN_APPROX_...``."""
         outlines, _ = cv2.findContours(
             self.crop.astype(np.uint8), cv2.RETR_EXTERNAL, method, offset=(self.left, self.top)
         )
@@ -204,10 +201,7 @@ def silhouette_from_mask(
     segmenter: SegmenterName,
     truncated: bool = False,
 ) -> Silhouette | None:
-    """Crop a mask, or the part of one that starts at ``left`` and ``top``, to a silhouette.
-
-    None if no pixel is set.
-    """
+    """Crop a mask, or the part of one from ``left`` and ``top`` on; None if no pixel is set."""
     x, y, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     if width == 0:
         return None

@@ -25,8 +25,8 @@ def silhouettes_of(
 
     A pixel in several people's masks goes to the person with the highest probability. Unless the
     boxes are exact, limbs may reach beyond them. ``checkpoint`` is called before each person; it
-    raises an error if the work is no longer wanted. The result is None for a person that the
-    network did not see.
+    raises an error if the work is no longer wanted. None stands for a person that the network did
+    not see.
     """
     regions = [
         _region(box if exact else _with_landmarks(box, reading), frame_shape)

@@ -115,10 +115,7 @@ def with_truncation(
     boxes: Sequence[Box],
     frame_shape: tuple[int, ...],
 ) -> list[Silhouette | None]:
-    """Set the flag ``truncated`` of the silhouettes of one frame.
-
-    The people's boxes stand in for missing silhouettes.
-    """
+    """The silhouettes of one frame with the flag ``truncated``; boxes stand in for missing ones."""
     people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
     result: list[Silhouette | None] = []
     for row, silhouette in enumerate(silhouettes):

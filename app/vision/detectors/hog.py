@@ -58,9 +58,8 @@ _SLOPE, _OFFSET = 3.26, -2.57
 class HogDetector:
     """Detects upright people by HOG over many scales; thread-safe.
 
-    ``min_person_px`` is the height of the smallest person searched for, in pixels of the frame; by
-    default a share of the frame's height. Frames are not enlarged beyond a bounded area, so it may
-    not be reached.
+    ``min_person_px`` is the height of the smallest person searched for, pixels; by default a share
+    of the frame's. Frames are not enlarged beyond a bounded area, so it may not be reached.
     """
 
     min_person_px: float | None = None
