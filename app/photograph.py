@@ -126,7 +126,6 @@ class Estimator:
         )
 
     def _all_variants(self) -> dict[tuple[Method, Segmenter], Estimator]:
-        """The estimators of all methods that the models allow."""
         variants: dict[tuple[Method, Segmenter], Estimator] = {
             ("paper", "grabcut"): self._by_paper("grabcut")
         }
@@ -157,7 +156,6 @@ class Estimator:
         return self._with(_decoder=replace(self._decoder, workers=workers))
 
     def _with(self, **changed: object) -> Estimator:
-        """The same, by any method, with changed attributes."""
         base = copy(self._base)
         vars(base).update(changed, _base=base)
         return base._all_variants()[self.method, self.segmenter]
@@ -264,7 +262,6 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
 
 
 def normalise_person(person: Person) -> NormalisedPerson | None:
-    """Normalise a person's silhouette; None if there is none."""
     if person.silhouette is None:
         return None
     return NormalisedPerson.of(person.silhouette, person.landmarks)

@@ -100,7 +100,7 @@ class Runtime:
 
 
 def runtime_of(request: Request) -> Runtime:
-    """Return the state of the application; a dependency would cost time on every frame."""
+    """The state of the application; a dependency would cost time on every frame."""
     return cast(Runtime, request.app.state.runtime)
 
 

@@ -237,7 +237,6 @@ def _read_bytes(file: Path, sha256: str) -> bytes:
 
 
 def stored_name(name: str) -> str:
-    """Name on disk of a file of the manifest."""
     return name if name == SILHOUETTES else f"{name}.xz"
 
 

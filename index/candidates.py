@@ -56,7 +56,6 @@ def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tupl
 
 
 def _ratio(silhouette: NDArray[np.uint8]) -> float:
-    """Width over height of a silhouette's bounding box."""
     _, _, width, height = cv2.boundingRect(silhouette)
     return width / max(height, 1)
 
@@ -97,7 +96,6 @@ class Candidates:
         return len(self.entry_ids)
 
     def take(self, rows: NDArray[np.integer] | slice) -> Candidates:
-        """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 

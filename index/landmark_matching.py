@@ -137,7 +137,6 @@ class _LandmarkQuery(Query):
     reliability: float
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
-        """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         candidates, _, modes, typical = self._modes(n)
         modes, columns = self._fitted(candidates, modes, typical)
         columns["distance"] = np.maximum(columns["distance"], at_least)

@@ -147,7 +147,6 @@ class Agreement:
     residuals: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer]) -> Agreement:
-        """Select skeletons by row, in the order given."""
         return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
 
     def weights(self, exponent: float) -> NDArray[np.float64]:

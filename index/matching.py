@@ -231,7 +231,6 @@ def with_later_batches(
 
 
 def likeliest_first(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
-    """Hypotheses in the order of their confidences, the nearer first if they are equal."""
     return sorted(hypotheses, key=lambda one: (-one.confidence, one.distance))
 
 
@@ -257,7 +256,6 @@ def ranked(
 def unlike(
     others: Sequence[PoseHypothesis], known: Sequence[PoseHypothesis]
 ) -> list[PoseHypothesis]:
-    """The hypotheses among ``others`` that are new poses, unlike all known ones."""
     if not others:
         return []
     poses, earlier = (np.array([one.points_3d for one in some]) for some in (others, known))

@@ -82,11 +82,9 @@ class Modes:
         return len(self.centres)
 
     def take(self, rows: NDArray[np.integer] | Sequence[int] | slice) -> Modes:
-        """Select modes by row, in the order given."""
         return Modes(*(array[rows] for array in vars(self).values()))
 
     def append(self, modes: Modes) -> Modes:
-        """These modes followed by others."""
         pairs = zip(vars(self).values(), vars(modes).values(), strict=True)
         return Modes(*(np.concatenate(pair) for pair in pairs))
 
@@ -186,7 +184,6 @@ def depth_modes(
 
 
 def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
-    """Rows of the interpolated modes that are not too near to an earlier one."""
     near = _joint_distances(modes.points_3d[:, :JOINTS]) < min_distance_m
     distinct: list[int] = []
     for row, near_row in enumerate(near.tolist()):

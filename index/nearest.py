@@ -88,7 +88,6 @@ def reprojection_confidence(errors_px: NDArray[np.float64]) -> NDArray[np.float6
 def _hypotheses(
     query: Query, entries: Candidates, errors_px: NDArray[np.float64]
 ) -> list[PoseHypothesis]:
-    """The entries as hypotheses, each by itself."""
     count = len(entries)
     each = Modes(
         np.arange(count),

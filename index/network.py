@@ -183,7 +183,6 @@ class Distributions:
         return Distributions(np.concatenate([columns[:, ::-1], rows, depths], axis=1))
 
     def mean(self, other: Distributions) -> Distributions:
-        """Mean probabilities of two distributions."""
         either = np.logaddexp(self.log_probabilities, other.log_probabilities)
         return Distributions(either - np.log(2))
 

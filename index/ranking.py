@@ -78,7 +78,6 @@ class NetworkRanking(DistanceRanking):
 
     @classmethod
     def of(cls, model: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
-        """Run the network on a silhouette ``(128, 48)``."""
         return cls(model.calibration, model, model.network.read(silhouette))
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
@@ -107,7 +106,6 @@ class NetworkRanking(DistanceRanking):
         return replace(modes, points_3d=moved, points_normalised=placed)
 
     def support(self, candidates: Candidates) -> NDArray[np.float64]:
-        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest."""
         likelihood = self.log_likelihood(candidates)
         return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 

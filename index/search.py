@@ -69,7 +69,6 @@ class ExactNeighbours:
 
     @property
     def rounds_queries(self) -> bool:
-        """Whether the vectors are bytes."""
         return self._in_bytes
 
     @property

@@ -62,13 +62,11 @@ class _SilhouetteQuery(Query):
 
     @cached_property
     def ranking(self) -> DistanceRanking:
-        """The ranking: by the network if there is one."""
         if self.index.reranker is None:
             return DistanceRanking(self.index.calibration)
         return NetworkRanking.of(self.index.reranker, self.silhouette)
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
-        """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         return self._at_modes(*self._modes(n), at_least)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:

@@ -48,7 +48,6 @@ class Silhouettes:
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
-        """Some silhouettes, still compressed."""
         starts = np.concatenate([[0], self.ends[:-1]])[rows]
         ends = self.ends[rows]
         spans = zip(starts.tolist(), ends.tolist(), strict=True)

@@ -63,7 +63,6 @@ def side_rows(*parts: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
 
 
 def other_side(name: str) -> str:
-    """Name of the same point on the other side of the body."""
     side, _, part = name.partition("_")
     return f"{SIDES[side == 'left']}_{part}" if side in SIDES else name
 
@@ -311,7 +310,6 @@ def with_bone_lengths(
 def with_bone_lengths_of(
     skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of ``skeleton``."""
     return with_bone_lengths(points, bone_lengths(skeleton))
 
 

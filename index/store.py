@@ -140,7 +140,6 @@ class PoseIndex:
 
     @property
     def calibration(self) -> Calibration:
-        """The confidence of hypotheses that no network ranks."""
         return Calibration.restore(self.parameters["confidence"])
 
     def search(
@@ -192,7 +191,6 @@ class PoseIndex:
         return points_3d, points_normalised
 
     def entry(self, entry_id: int) -> Entry:
-        """An entry; raises like :meth:`label`."""
         label = self.label(entry_id)
         points_3d, points_normalised = (points[0] for points in self.points(np.array([entry_id])))
         return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)

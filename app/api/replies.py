@@ -95,7 +95,6 @@ class ReplyForm:
 
 
 def significant(value: float) -> float:
-    """Round to :data:`SIGNIFICANT_DIGITS`."""
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
@@ -119,7 +118,6 @@ def pose_reply(
 
 
 def tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
-    """Write the fields of a tracked frame, whether a camera or a video shows it."""
     return {
         **_frame_fields(frame, index, form),
         "frame_index": frame.frame_index,
@@ -149,7 +147,6 @@ def _frame_fields(seen: Estimate, index: PoseIndex, form: ReplyForm) -> dict[str
 def index_reply(
     index: PoseIndex, version: str, revision: str, method: Method
 ) -> schemas.IndexResponse:
-    """Describe an index."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse.model_validate(
         {
@@ -173,7 +170,6 @@ def index_reply(
 
 
 def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.EntryResponse:
-    """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse.model_validate(
         {
@@ -305,7 +301,6 @@ def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> l
 
 
 def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
-    """Describe a camera."""
     settings, session = camera.settings, camera.session
     zones, optics = settings.zones, settings.optics
     return tracking_schemas.CameraState.model_validate(
@@ -332,7 +327,6 @@ _NO_SESSION: dict[str, Any] = {
 
 
 def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
-    """Convert a camera's configuration."""
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]

@@ -44,7 +44,6 @@ class EstimatedPosture:
     shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
 
     def share(self, postures: Sequence[PostureName]) -> float:
-        """Sum of the shares of the given postures."""
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 

@@ -58,7 +58,6 @@ def identity_of(scope: Scope) -> Identity:
 
 
 def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
-    """Find out the identity of a request."""
     headers = Headers(scope=scope)
     scheme, _, token = headers.get("authorization", "").partition(" ")
     given = [headers.get("x-api-key", ""), token if scheme.lower() == "bearer" else ""]
@@ -93,7 +92,6 @@ def _camera_stream(scope: Scope, key: int | None) -> CameraStream | None:
 
 
 def unauthorised(*, has_key: bool) -> ProblemError:
-    """Make the 401 for a wrong or missing API key."""
     return ProblemError(
         401,
         "expected an API key of this service, got another one"

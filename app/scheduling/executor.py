@@ -124,7 +124,6 @@ class Executor:
         return self._helpers.submit(function)
 
     def shut_down(self) -> None:
-        """Cancel all jobs and wait for the threads to end."""
         self.queue.close()
         for job in tuple(self._jobs):
             job.cancel()

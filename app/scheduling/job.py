@@ -72,7 +72,6 @@ class Job:
             raise DeadlineError("the frame took longer than the service allows")
 
     def cancel(self) -> None:
-        """Make the next :meth:`checkpoint` raise."""
         self._cancelled.set()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:

@@ -168,14 +168,12 @@ class FairQueue:
         self._advance()
 
     def close(self) -> None:
-        """Drop all waiting frames and begin no others."""
         self._closed = True
         for ticket in self._waiting:
             ticket.begun.set_result(ShutdownError)
         self._waiting.clear()
 
     def _advance(self) -> None:
-        """Begin waiting frames while threads are free."""
         while self.working < self.threads and not self._closed:
             busy = {ticket.camera for ticket in self._working} - {None}
             for finish_s, ticket in self._ordered(self._waiting):

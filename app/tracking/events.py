@@ -45,9 +45,9 @@ class EventDetector:
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
-        ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame. They are weighted
-        by ``reliability``, 0 to 1, the probability that the body is read correctly. ``rests`` says
-        whether the person is in a zone for resting, where lying is not an event.
+        ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame, weighted by
+        ``reliability``, 0 to 1, that the body is read correctly. ``rests`` is whether the person is
+        in a zone for resting, where lying is not an event.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         step = reliability * elapsed
@@ -69,11 +69,9 @@ class EventDetector:
 
     @property
     def has_fallen(self) -> bool:
-        """Whether the person fell and no frame showed them getting up."""
         return self._falls.report.fallen
 
     def unconfirmed(self) -> tuple[Event, ...]:
-        """Events that had begun to show at the last frame but were not certain."""
         levels: dict[EventName, float] = {
             name: state.level for name, state in self._states.items() if state.is_unconfirmed
         }

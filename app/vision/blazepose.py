@@ -164,6 +164,5 @@ class MaskNetwork(TfliteNetwork):
         super().__init__(path, _MASK_SHAPES, [(LANDMARK_PX, LANDMARK_PX, 1)], **share)
 
     def read(self, reading: _Reading) -> _Reading:
-        """The same reading with its mask."""
         (log_odds,) = self.run(*reading.mask_inputs)
         return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())

@@ -194,7 +194,6 @@ class NetworkDetector:
         column: int,
         detector: Detector,
     ) -> tuple[list[Detection], NDArray[np.float64]]:
-        """Add the results of another detector: windows and scores of these people, new people."""
         people, known, rows = list(people), range(len(people)), list(scores)
         for seen in detector.detect(picture):
             same = [row for row in known if shows(seen, people[row])]
@@ -253,7 +252,6 @@ def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def object_odds(person: float, other: float) -> float:
-    """Log odds that a doubtful detection gains or loses by the log odds of objects."""
     fitted, excess = constants_of("objects"), max(0.0, other - person)
     return float(fitted["person"] * person + fitted["excess"] * excess + fitted["offset"])
 

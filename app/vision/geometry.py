@@ -36,22 +36,18 @@ class Box:
 
     @classmethod
     def from_edges(cls, left: float, top: float, right: float, bottom: float) -> Box:
-        """Make the box between four edges."""
         return cls(left, top, right - left, bottom - top)
 
     @property
     def right(self) -> float:
-        """Right edge."""
         return self.x + self.width
 
     @property
     def bottom(self) -> float:
-        """Bottom edge."""
         return self.y + self.height
 
     @property
     def area(self) -> float:
-        """Area in square pixels."""
         return self.width * self.height
 
     @property
@@ -66,7 +62,6 @@ class Box:
         return max(0.0, width) * max(0.0, height)
 
     def joined(self, other: Box) -> Box:
-        """The smallest box that holds both."""
         return Box.from_edges(
             min(self.x, other.x), min(self.y, other.y),
             max(self.right, other.right), max(self.bottom, other.bottom),
@@ -152,7 +147,6 @@ class PersonWindow:
 
     @classmethod
     def about_box(cls, box: Box, roll_deg: float = 0.0) -> PersonWindow:
-        """Make the window about a person's box."""
         side = WINDOW_SCALE * max(box.width, box.height)
         return cls(box.x + box.width / 2, box.y + box.height / 2, side, roll_deg)
 
@@ -194,7 +188,6 @@ class PersonWindow:
         return transform_points(self.to_frame(2), corners)
 
     def scaled(self, factor: float) -> PersonWindow:
-        """The same window in a frame resized by ``factor``."""
         x, y = (factor * at + (factor - 1) / 2 for at in (self.x, self.y))
         return PersonWindow(x, y, self.side * factor, self.roll_deg)
 

@@ -35,12 +35,10 @@ class Trust:
 
     @property
     def is_person(self) -> bool:
-        """Whether the window likelier shows a person than not."""
         return self.person >= 0.5
 
     @property
     def is_right(self) -> bool:
-        """Whether the landmarks are likelier right than not."""
         return self.right >= 0.5
 
 
@@ -58,7 +56,6 @@ class FramePosture:
             raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
 
     def of(self, name: str) -> float:
-        """Probability of one posture."""
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 
 
@@ -88,7 +85,6 @@ class PhotographModels:
     posture: PostureModel
 
     def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
-        """A reading in three dimensions."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
     def judge(self, reading: PoseReading, camera: PinholeCamera) -> JudgedReading:
@@ -165,7 +161,6 @@ class TrustModel:
         return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
 
     def estimate(self, features: NDArray[np.float64]) -> Trust:
-        """Trust in one reading with features ``(F,)``."""
         person, right = self.probabilities(features[None])[0]
         odds = logit(person, 1e-6) - log_odds(_PEOPLE_SHARE)
         return Trust(probability_of(float(odds)), float(right))

@@ -42,7 +42,6 @@ class LabelImage:
 
     @classmethod
     def of(cls, labels: Labels) -> LabelImage:
-        """Find the labels of an array ``(H, W)``."""
         if labels.ndim != 2:
             raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
         # `boundingRect` takes 8 bits only.
@@ -54,7 +53,6 @@ class LabelImage:
 
     @cached_property
     def boxes(self) -> list[Box]:
-        """The tight box of each label."""
         found = []
         for label in self.present:
             left, top, width, height = cv2.boundingRect(cv2.inRange(self.part, label, label))
@@ -62,7 +60,6 @@ class LabelImage:
         return found
 
     def merged(self) -> LabelImage:
-        """The same image with all labels merged into one person, label 1."""
         labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
         return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
 
@@ -309,7 +306,6 @@ def _of_figures(image: LabelImage) -> LabelImage:
 
 
 def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The parts of a mask that are a figure or belong to one; none if all are too small."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8))
     parts = stats[1:]
     is_large = parts[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) >= _MIN_FIGURE_PX

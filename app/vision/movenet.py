@@ -155,18 +155,15 @@ def _seen_in(network: MoveNet, picture: Picture, tile: Tile) -> list[Detection]:
 
 
 def _longer_side(one: Detection, picture: Picture) -> float:
-    """The longer side of a box as the overview shows it."""
     return max(one.box.width, one.box.height) * picture.tiles[0].factor
 
 
 def _filling(people: Iterable[Detection], picture: Picture) -> list[Detection]:
-    """People who fill the frame."""
     large = _FILLING_SHARE * max(picture.tiles[0].size)
     return [one for one in people if _longer_side(one, picture) >= large]
 
 
 def _glance(picture: Picture) -> Tile:
-    """The whole frame at a small size."""
     whole = picture.tiles[0]
     return Tile(whole.rect, whole.factor * min(1.0, _GLANCE_PX / max(whole.size)))
 

@@ -68,11 +68,9 @@ class ObservedKeypoints:
             )
 
     def scaled(self, factor: float) -> ObservedKeypoints:
-        """The same keypoints in an image resized by ``factor``."""
         return ObservedKeypoints(factor * self.positions + (factor - 1) / 2, self.scores)
 
     def moved(self, x: float, y: float) -> ObservedKeypoints:
-        """The same keypoints ``x`` pixels farther right and ``y`` farther down."""
         return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
 
 
@@ -158,7 +156,6 @@ class Silhouette:
 
     @property
     def area_px(self) -> int:
-        """Number of pixels on the person."""
         return int(np.count_nonzero(self.crop))
 
     @property
@@ -170,7 +167,6 @@ class Silhouette:
 
     @property
     def box(self) -> Box:
-        """The tight box around the silhouette."""
         height, width = self.crop.shape
         return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
 

@@ -53,7 +53,6 @@ def tell_apart(found: Sequence[Detection]) -> tuple[list[Detection], list[Detect
 
 
 def _same_keypoints(one: Detection, other: Detection) -> bool:
-    """Whether the keypoints of two detections show the same person."""
     first, second = one.keypoints, other.keypoints
     if one.box.intersection(other.box) == 0 or first is None or second is None:
         return False
@@ -94,7 +93,6 @@ def _same_points(
 
 
 def shows(one: Detection, person: Detection) -> bool:
-    """Whether another detector shows a person: by its window or, without one, by its box."""
     if not one.windows:
         return one.box.iou(person.box) >= _SAME_BOX_IOU
     window, box = one.windows[0], person.box
@@ -104,7 +102,6 @@ def shows(one: Detection, person: Detection) -> bool:
 
 
 def is_expected(box: Box, expected: Box) -> bool:
-    """Whether a box shows the person expected in another box."""
     return box.iou(expected) >= _EXPECTED_IOU
 
 

@@ -149,7 +149,6 @@ def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box])
 
 
 def _pixels_inside(silhouette: Silhouette, box: Box) -> float:
-    """Number of a silhouette's pixels inside a box."""
     left, top, right, bottom = box.pixels()
     rows = slice(max(0, top - silhouette.top), max(0, bottom - silhouette.top))
     columns = slice(max(0, left - silhouette.left), max(0, right - silhouette.left))

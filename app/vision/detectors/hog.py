@@ -65,7 +65,6 @@ class HogDetector:
     min_person_px: float | None = None
 
     def detect(self, picture: Picture) -> list[Detection]:
-        """Detect people, best first; scores are probabilities."""
         boxes, margins = self.kept_windows(whole(picture.frame))
         scores = sigmoid(_SLOPE * margins + _OFFSET)
         height, width = picture.frame.shape[:2]
