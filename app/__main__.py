@@ -32,7 +32,6 @@ KEEP_ALIVE_S = 65
 
 
 def main() -> None:
-    """Serve until a signal stops the server."""
     parser = argparse.ArgumentParser(
         prog="python -m app",
         description="Serve on HOST:PORT, by default 127.0.0.1:8000. Environment variables "

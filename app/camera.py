@@ -14,19 +14,19 @@ from app.decoding import MIN_STEP_S
 from app.estimation.results import Evidence, Person
 from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
+from app.scene import Patch, View
 from app.scheduling.job import Job
 from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
-from app.tracking.results import Event, TrackedFrame, TrackedPerson
+from app.tracking.results import Event, EventState, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
-from app.tracking.view import View
 from app.tracking.zones import Zone, is_outside
-from app.vision.appearance import Patch, colours_of
 from app.vision.halved import Frame
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera
 from app.vision.rectification import Rectification
+from app.vision.same_person import colours_of
 from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES
 
@@ -236,7 +236,7 @@ class CameraSession:
         self._frames += 1
         reset, self._reset = self._reset, None
         events, self._events = tuple(self._events), []
-        obstructed: tuple[ImageWarning, ...] = ("obstructed",) if self._view.obstructed else ()
+        obstructed: tuple[ImageWarning, ...] = ("obstructed",) if self._view.blocked.holds else ()
         return TrackedFrame(
             frame=shown.frame,
             camera=shown.camera,
@@ -252,8 +252,13 @@ class CameraSession:
 
     def unconfirmed(self) -> list[Event]:
         """Events that had begun to show at the last frame but were not certain."""
-        of_people = (event for track in self._tracks for event in track.unconfirmed())
-        return [*of_people, *self._view.unconfirmed()]
+        events = [event for track in self._tracks for event in track.unconfirmed()]
+        if self._view.blocked.is_unconfirmed:
+            events.append(self._obstructed("unconfirmed", self._view.last_at or 0.0))
+        return events
+
+    def _obstructed(self, state: EventState, timestamp: float) -> Event:
+        return Event("obstructed", state, timestamp, self._view.blocked.level)
 
     def _time_of(self, timestamp: float | None, arrived: float) -> float:
         if timestamp is None:
@@ -290,7 +295,8 @@ class CameraSession:
         self._reset, self._watched_from = reason, timestamp
         self._detector = TrackedPeopleDetector(self._estimator.finder)
         if not is_same_view:
-            self._events += self._view.end(timestamp)
+            if self._view.blocked.holds:
+                self._events.append(self._obstructed("end", timestamp))
             self._view, self._floor = View(), Floor()
         for track in self._tracks:
             self._events += track.end(timestamp)
@@ -315,11 +321,12 @@ class CameraSession:
         self, timestamp: float, shape: tuple[int, ...], people: Sequence[Person] = ()
     ) -> None:
         """Watch whether the view of frames of this shape is blocked; people do not count."""
-        grey = self._detector.grey
+        grey = self._detector.scene.now
         if grey is not None:
             places = [one.box.scaled(grey.shape[0] / shape[0]) for one in people]
-            self._events += self._view.update(timestamp, grey, places)
-        if self._view.obstructed:
+            if change := self._view.update(timestamp, grey, places):
+                self._events.append(self._obstructed(change, timestamp))
+        if self._view.blocked.holds:
             self._floor.forget()  # The camera may have been turned.
 
     def _named_by_caller(

@@ -293,10 +293,9 @@ class CameraSessions:
             ]
 
     def forget(self, key: CameraKey) -> None:
-        """Forget a camera's session, its events and the caller's settings.
+        """Forget a camera's session, events and the caller's settings; raises as `summary` does.
 
-        Raises as `summary` does. Settings given at startup apply again. A frame already being
-        processed is completed.
+        Settings given at startup apply again. A frame already being processed is completed.
         """
         with self._lock:
             self._check_known(key)

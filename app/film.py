@@ -49,7 +49,6 @@ class VideoSummary:
         self.events: list[Event] = []
 
     def add(self, frame: TrackedFrame) -> None:
-        """Add the next frame."""
         self.frames += 1
         self.damaged += "damaged" in frame.warnings
         self.events += frame.events
@@ -190,8 +189,6 @@ class VideoRun:
         self.end = end
 
     async def _process(self, frame: Frame, write: Callable[[TrackedFrame, int], bytes]) -> bytes:
-        """Process a frame once it is its turn, and return its line."""
-
         def work(job: Job) -> tuple[TrackedFrame, bytes]:
             own = Optics(pixel_aspect=frame.pixel_aspect)
             upload = Upload(frame.pixels, optics=self.optics.or_else(own))

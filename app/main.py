@@ -119,7 +119,6 @@ def create_app(
 
 
 def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
-    """Add the middleware, the innermost first."""
     settings, queue = runtime.settings, runtime.executor.queue
     configurations = UploadLimits(
         MAX_JSON_BYTES, settings.upload_timeout_s, MAX_JSON_BYTES * settings.max_requests
@@ -172,7 +171,6 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
 
 
 async def _tidy_up(runtime: Runtime) -> None:
-    """End the sessions of cameras that have stopped sending, and return free memory."""
     while True:
         await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
         runtime.sessions.end_idle()

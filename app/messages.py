@@ -103,7 +103,6 @@ def located(error: ValidationError) -> tuple[str, str]:
 
 
 def shortened(value: object) -> str:
-    """Quote a value, shortened if it is long."""
     text, most = "null" if value is None else repr(value), _MAX_VALUE_CHARACTERS
     return text if len(text) <= most else f"{text[:most]}..."
 

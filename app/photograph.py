@@ -11,9 +11,8 @@ from functools import partial
 import numpy as np
 
 from app.decoding.pictures import Workers
-from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
-from app.estimation.poses import NormalisedPerson, place_skeletons
+from app.estimation.poses import NormalisedPerson, check_bodies, place_skeletons
 from app.estimation.posture import LANDMARK_GROUPS, as_standing, likeliest_posture
 from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
@@ -25,17 +24,15 @@ from app.scheduling.process import available_cores
 from app.settings import Method, Segmenter, Settings
 from app.tracking import actions, falls
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
-from app.vision.detector import NetworkDetector
+from app.vision.detector import NetworkDetector, ObjectNetwork
 from app.vision.detectors.blazepose import BlazePoseDetector
-from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box
 from app.vision.images import ImageWarning
 from app.vision.judgement import load_photograph_models
-from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.movenet import KeypointReader, MoveNet, MoveNetDetector
 from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
-from app.vision.rescoring import ObjectNetwork
 from index.artefact import load_index
 from index.landmark_matching import match_landmarks
 from index.matching import DEFAULT_HYPOTHESES, Match
@@ -129,7 +126,6 @@ class Estimator:
         )
 
     def _all_variants(self) -> dict[tuple[Method, Segmenter], Estimator]:
-        """The estimators of all methods that the models allow."""
         variants: dict[tuple[Method, Segmenter], Estimator] = {
             ("paper", "grabcut"): self._by_paper("grabcut")
         }
@@ -160,7 +156,6 @@ class Estimator:
         return self._with(_decoder=replace(self._decoder, workers=workers))
 
     def _with(self, **changed: object) -> Estimator:
-        """The same, by any method, with changed attributes."""
         base = copy(self._base)
         vars(base).update(changed, _base=base)
         return base._all_variants()[self.method, self.segmenter]
@@ -267,7 +262,6 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
 
 
 def normalise_person(person: Person) -> NormalisedPerson | None:
-    """Normalise a person's silhouette; None if there is none."""
     if person.silhouette is None:
         return None
     return NormalisedPerson.of(person.silhouette, person.landmarks)

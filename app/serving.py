@@ -100,7 +100,7 @@ class Runtime:
 
 
 def runtime_of(request: Request) -> Runtime:
-    """Return the state of the application; a dependency would cost time on every frame."""
+    """The state of the application; a dependency would cost time on every frame."""
     return cast(Runtime, request.app.state.runtime)
 
 
@@ -116,8 +116,8 @@ EstimatorDep = Annotated[Estimator, Depends(_ready_estimator)]
 async def run_frame(request: Request, work: Callable[[Job], T], *, kind: Hashable) -> T:
     """Work on a request's frame in a thread; see :meth:`app.scheduling.executor.Executor.run`.
 
-    The body has been read. ``kind`` is the kind of content that was sent; with the route, it
-    determines how long the work takes.
+    The body has been read. ``kind`` is that of the content; with the route, it determines how long
+    the work takes.
     """
 
     async def until_gone() -> None:

@@ -197,7 +197,6 @@ class Settings(BaseSettings):
 
 
 def variable(name: str, field: FieldInfo) -> str:
-    """Return the environment variable of a setting."""
     alias = field.validation_alias
     return alias if isinstance(alias, str) else f"{PREFIX}{name.upper()}"
 

@@ -45,11 +45,10 @@ class Descriptor(Protocol):
 
 @dataclass(frozen=True)
 class DiagonalDescriptor:
-    """The paper's 48 values [1]_: diagonal moments (n = m) in two regions of the body.
+    """The paper's 48 values [1]_: diagonal moments of orders 0 to 23, in two regions of the body.
 
-    The 24 orders are 0 to 23. ``p1 = 0.5`` centres the polynomials horizontally;
-    ``p2 = 0.1`` concentrates the first 24 values on the upper body and ``p2 = 0.95`` the
-    last 24 on the lower body.
+    ``p1 = 0.5`` centres the polynomials horizontally; ``p2 = 0.1`` concentrates the first 24 values
+    on the upper body and ``p2 = 0.95`` the last 24 on the lower body.
     """
 
     orders: int = 24
@@ -62,11 +61,9 @@ class DiagonalDescriptor:
 
     @property
     def dimension(self) -> int:
-        """Number of orders times number of regions."""
         return self.orders * len(self.p2)
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Vectors ``(B, dimension)`` of silhouettes ``(B, 128, 48)``."""
         _check(silhouettes)
         horizontal = weighted_polynomials(self.orders, WIDTH, self.p1)
         vertical = [weighted_polynomials(self.orders, HEIGHT, p) for p in self.p2]
@@ -79,11 +76,9 @@ class DiagonalDescriptor:
         return vectors * np.tile(_signs(self.orders), len(self.p2))
 
     def parameters(self) -> dict[str, object]:
-        """Orders and regions."""
         return {"name": self.name, "orders": self.orders, "p1": self.p1, "p2": list(self.p2)}
 
     def arrays(self) -> Arrays:
-        """None: nothing is learned."""
         return {}
 
 
@@ -124,11 +119,9 @@ class DiscriminantDescriptor:
 
     @property
     def dimension(self) -> int:
-        """Rows of the projection."""
         return len(self.projection)
 
     def describe(self, silhouettes: NDArray[np.generic]) -> NDArray[np.float32]:
-        """Vectors ``(B, dimension)`` of silhouettes ``(B, 128, 48)``."""
         features = moment_block(
             silhouettes, self.vertical_orders, self.horizontal_orders, self.p1, self.p2
         )
@@ -140,7 +133,6 @@ class DiscriminantDescriptor:
         return vectors * self.parity
 
     def parameters(self) -> dict[str, object]:
-        """Orders and regions; the projection is among the arrays."""
         return {
             "name": self.name,
             "vertical_orders": self.vertical_orders,
@@ -150,7 +142,6 @@ class DiscriminantDescriptor:
         }
 
     def arrays(self) -> Arrays:
-        """The projection."""
         return {"projection": self.projection}
 
 
@@ -173,10 +164,7 @@ def restore(
 ) -> Descriptor:
     """The descriptor that a manifest names, from what its methods of these names returned.
 
-    Raises
-    ------
-    ValueError
-        If the name is unknown or the parameters do not fit it.
+    Raises ValueError if the name is unknown or the parameters do not fit it.
     """
     name = parameters.get("name")
     try:

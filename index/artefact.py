@@ -23,9 +23,8 @@ from index import DEFAULT_PATH
 from index.arrays import load_array, load_arrays
 from index.confidence import RERANKING_FEATURES, Calibration
 from index.network import JointNetwork
-from index.reranking import RankingModel
+from index.reranking import PostureNetwork, RankingModel
 from index.search import ExactNeighbours, Neighbours
-from index.silhouette_posture import PostureNetwork
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex
@@ -55,12 +54,8 @@ def load_index(
     """Read and verify an index, and the network beside it if there is one and it is wanted.
 
     Its vectors are searched by ``searched_by``; by default exactly, in this process. ``in_bytes``
-    is that of :class:`index.search.ExactNeighbours`.
-
-    Raises
-    ------
-    ArtefactError
-        If it is missing, truncated, altered, or not an artefact of this format.
+    is that of :class:`index.search.ExactNeighbours`. Raises ArtefactError if it is missing,
+    truncated, altered, or not an artefact of this format.
     """
     path = Path(path)
     manifest = _read_manifest(path)
@@ -103,10 +98,7 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
 def load_reranker(folder: Path) -> RankingModel | None:
     """Read and verify the network beside an index; None if there is none.
 
-    Raises
-    ------
-    ArtefactError
-        If it is incomplete, altered, or not a network of this format.
+    Raises ArtefactError if it is incomplete, altered, or not a network of this format.
     """
     file, weights = folder / RERANKING_JSON, folder / RERANKING_NPZ
     if not file.exists():
@@ -220,10 +212,7 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
     """Read an ``.npy`` file, decompressed if its name ends in ``.xz``, and verify it.
 
-    Raises
-    ------
-    ArtefactError
-        If the file is missing, truncated, altered or not an array.
+    Raises ArtefactError if the file is missing, truncated, altered or not an array.
     """
     content = _read_bytes(file, sha256)
     try:
@@ -233,13 +222,7 @@ def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
 
 
 def _read_bytes(file: Path, sha256: str) -> bytes:
-    """Read a file, decompressed if its name ends in ``.xz``, and verify it.
-
-    Raises
-    ------
-    ArtefactError
-        If the file is missing, truncated or altered.
-    """
+    """Read a file, decompressed if its name ends in ``.xz``, and verify it."""
     try:
         content = file.read_bytes()
         if file.suffix == ".xz":
@@ -254,7 +237,6 @@ def _read_bytes(file: Path, sha256: str) -> bytes:
 
 
 def stored_name(name: str) -> str:
-    """Name on disk of a file of the manifest."""
     return name if name == SILHOUETTES else f"{name}.xz"
 
 

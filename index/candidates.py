@@ -56,7 +56,6 @@ def silhouette_rotations(silhouette: NDArray[np.uint8], roll_deg: float) -> tupl
 
 
 def _ratio(silhouette: NDArray[np.uint8]) -> float:
-    """Width over height of a silhouette's bounding box."""
     _, _, width, height = cv2.boundingRect(silhouette)
     return width / max(height, 1)
 
@@ -97,7 +96,6 @@ class Candidates:
         return len(self.entry_ids)
 
     def take(self, rows: NDArray[np.integer] | slice) -> Candidates:
-        """Select candidates by row, in the order given."""
         return Candidates(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
@@ -144,9 +142,9 @@ def _candidates(
 def _nearest_entries(
     index: PoseIndex, vectors: NDArray[np.float32], k: int
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """Rows of the ``k`` entries nearest to each of several descriptors ``(Q, D)`` in one search.
+    """The ``k`` entries nearest to each of several descriptors ``(Q, D)``, in one search.
 
-    Also returns whether each was found as its mirror image, and the descriptor that it is near.
+    Also whether each was found as its mirror image, and the row of the descriptor that it is near.
     """
     variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
     entry_ids, nearest_variant = index.search(variants, k)

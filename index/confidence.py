@@ -1,12 +1,11 @@
 """The probability that a hypothesis is right.
 
 A hypothesis is right if the mean distance of its limb joints from the person's own, in the picture,
-is below :data:`RIGHT_BELOW_PX`. An alternative in depth has the joints of the first hypothesis in
-the picture; it is right if these are and, moreover, its depths are nearer to the truth than those
-of the first.
+is below :data:`RIGHT_BELOW_PX`; an alternative in depth if, moreover, its depths are nearer to the
+truth than those of the first hypothesis, whose joints in the picture it has.
 
-With landmarks, the probability follows from the reprojection error of the entry and from how far
-the landmarks are likely to be off, by constants fitted to rendered people
+With landmarks, the probability follows from the reprojection error and from how far the landmarks
+are likely to be off, by constants fitted to rendered people
 (:mod:`scripts.training.fit_confidence`). For a silhouette alone, it follows from features of the
 match, by a calibration that is stored with the index (:mod:`scripts.index.calibrate`).
 """
@@ -62,10 +61,7 @@ class ConfidenceModel:
     weight_power: float
 
     def probability(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Probabilities ``(N,)`` of hypotheses with features ``(N, 4)``.
-
-        They fall with both errors.
-        """
+        """Probabilities ``(N,)`` for features ``(N, 4)``; they fall with both errors."""
         error_px, fitted_px, reliability, nearer = features.T
         landmarks_px = self.landmarks_px * _odds(reliability) ** -self.reliability_power
         of_skeleton = np.hypot(self.reprojection_share * error_px, self.fitted_share * fitted_px)

@@ -1,8 +1,8 @@
 """From a silhouette and landmarks to distinct poses in the order of their rank.
 
-The entries nearest to the silhouette are candidates. They are weighted by their agreement with the
-landmarks, and modes are fitted to the landmarks. The best mode is also returned at other depths.
-Hypotheses include both facings.
+The entries nearest to the silhouette are weighted by their agreement with the landmarks, and their
+modes are fitted to the landmarks. The best mode is also returned at other depths. Hypotheses
+include both facings.
 """
 
 import math
@@ -22,7 +22,6 @@ from index.candidates import (
     silhouette_rotations,
 )
 from index.confidence import LANDMARK_CONFIDENCE, LANDMARK_FEATURES
-from index.facing import azimuth_deg, faces_camera, front_share, likeliest_of_both_facings
 from index.landmarks import (
     DISTANCE_WEIGHT,
     Agreement,
@@ -46,6 +45,7 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, depth_modes, find_modes, likely_weights
+from index.posture import azimuth_deg, faces_camera, front_share, likeliest_of_both_facings
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
@@ -137,7 +137,6 @@ class _LandmarkQuery(Query):
     reliability: float
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
-        """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         candidates, _, modes, typical = self._modes(n)
         modes, columns = self._fitted(candidates, modes, typical)
         columns["distance"] = np.maximum(columns["distance"], at_least)
@@ -164,10 +163,10 @@ class _LandmarkQuery(Query):
     ) -> tuple[Modes, dict[str, NDArray[np.float64]]]:
         """Modes fitted to the landmarks, likeliest first, and other fields of their hypotheses.
 
-        The nearest is chosen before the fit: a pose that must change far to fit is less likely. It
-        follows the landmarks, and no other is said to be likelier. Their centres become the entries
-        that look most like them: of the candidates ``(K,)`` that face as they do, one with the same
-        silhouette, or else the typical one with the nearest.
+        The nearest is chosen before the fit, since a pose that must change far to fit is less
+        likely; it follows the landmarks, and no other is said to be likelier. Their centres become
+        the entries that look most like them: of the candidates ``(K,)`` that face as they do, one
+        with the same silhouette, or else the typical one with the nearest.
         """
         agreement = self.landmarks.compare(modes.points_normalised, modes.points_3d)
         entries = candidates.take(modes.centres)

@@ -1,10 +1,8 @@
 """Landmarks of a person: agreement of skeletons with them, and the fit of skeletons to them.
 
-The index provides the nearest of its recorded poses. The fit moves joints towards the landmarks and
-restores the bone lengths. Points without a landmark keep their position relative to their parents.
-
-In depth, landmarks and poses may disagree. The first skeleton moves most of the way to the
-landmarks; the others move only where they nearly agree, so that they remain alternatives.
+The fit moves joints of recorded poses towards the landmarks and restores the bone lengths. Points
+without a landmark keep their position relative to their parents. In depth, the first skeleton moves
+most of the way to the landmarks; the others only where they nearly agree, and remain alternatives.
 """
 
 from __future__ import annotations
@@ -78,14 +76,9 @@ class NormalisedLandmarks:
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
     ) -> Agreement:
-        """Compare skeletons with the landmarks.
+        """Compare skeletons with the landmarks: pixels ``(K, 24, 2)`` and metres ``(K, 24, 3)``.
 
-        Parameters
-        ----------
-        points_normalised : (K, 24, 2) array
-            Pixels of the normalised frame.
-        points_3d : (K, 24, 3) array
-            Metres, axes of the normalised frame.
+        Both are in the axes of the normalised frame.
         """
         points = np.asarray(points_normalised, np.float64)
         # Each skeleton beside its twin: (K, 2, P, 2).
@@ -114,7 +107,7 @@ class NormalisedLandmarks:
         return np.asarray(np.linalg.norm(offsets, axis=-1).mean(axis=-1))
 
     def limb_offsets(self, points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-        """Offsets ``(K, 12, 3)`` from the limbs of skeletons to the landmarks, in metres.
+        """Offsets ``(K, 12, 3)``, metres, from the limbs of skeletons to the landmarks.
 
         Landmarks are first scaled to the size of each skeleton.
         """
@@ -154,7 +147,6 @@ class Agreement:
     residuals: NDArray[np.float64]
 
     def take(self, rows: NDArray[np.integer]) -> Agreement:
-        """Select skeletons by row, in the order given."""
         return Agreement(self.log_likelihood[rows], self.side_log_odds[rows], self.residuals[rows])
 
     def weights(self, exponent: float) -> NDArray[np.float64]:
@@ -177,14 +169,8 @@ def fused_distances(
 ) -> NDArray[np.float64]:
     """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
 
-    Parameters
-    ----------
-    distances : (N,) float64 array
-        Distances between descriptors.
-    agreement : Agreement
-        Agreement of the hypotheses with the landmarks.
-    tilt_deg : (N,) float64 array
-        In-plane tilt of the person according to each hypothesis.
+    They follow from the distances between descriptors and the in-plane tilts of the person
+    ``(N,)``.
     """
     likelihood = (
         agreement.log_likelihood
@@ -208,20 +194,10 @@ def fit_to_landmarks(
     points_3d: NDArray[np.float64],
     points_normalised: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit skeletons to landmarks.
+    """Fit skeletons ``(M, 24, 3)``, the likeliest first, to landmarks; also returns their places.
 
-    Parameters
-    ----------
-    points_3d : (M, 24, 3) float64 array
-        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest comes
-        first.
-    points_normalised : (M, 24, 2) float64 array
-        Pixels of the normalised frame.
-
-    Returns
-    -------
-    points_3d, points_normalised
-        Of the same shapes; bones keep their lengths, and the face moves with the head.
+    They are in camera axes and metres about the pelvis, and ``(M, 24, 2)`` pixels of the normalised
+    frame. Bones keep their lengths, and the face moves with the head.
     """
     moved = _moved_in_depth(landmarks, points_3d)
     blurred = replace(landmarks, sigma_px=_FIT_SIGMA_PX)
@@ -258,8 +234,8 @@ def _moved_in_depth(
 def _match_sides(landmarks: NormalisedLandmarks, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Rows ``(M, P)`` of each skeleton's points that the landmarks show.
 
-    Left and right are exchanged if that is likelier, but never for the first skeleton, because it
-    follows the landmarks.
+    Left and right are exchanged if that is likelier, but not for the first, which follows the
+    landmarks.
     """
     rows = np.where(exchanged[:, None], OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
     rows[0] = landmarks.rows
@@ -271,8 +247,8 @@ def _pulls(
 ) -> NDArray[np.float64]:
     """Offsets ``(M, P, 2)`` to the landmarks, of points in ``rows`` ``(M, P)`` of all skeletons.
 
-    They are scaled down by the probability that a landmark is an outlier; the first skeleton
-    follows the landmarks however far they are.
+    They are scaled down by the probability that a landmark is an outlier, but for the first
+    skeleton.
     """
     offsets = landmarks.positions - placed.reshape(-1, 2).take(rows, axis=0)
     trust = landmarks.inlier_probability(offsets)

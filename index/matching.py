@@ -1,6 +1,6 @@
 """Parts shared by matching with and without landmarks: query, hypotheses, and their batches.
 
-Entries near the query are candidates. Modes are poses at which candidates gather. Hypotheses are
+Entries near the query are candidates; modes are poses at which candidates gather; hypotheses are
 modes in the order of their distances, with a confidence. :mod:`index.silhouette_matching` finds
 them from a silhouette alone, :mod:`index.landmark_matching` from a silhouette and landmarks.
 """
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import outline_distances
 from index.candidates import Candidates, RotatedQuery
-from index.facing import azimuth_deg
 from index.modes import Modes
 from index.posture import (
     POSTURES,
     PostureName,
+    azimuth_deg,
     camera_up,
     classify_postures,
     lying_elevation_deg,
@@ -60,49 +60,39 @@ class PoseHypothesis:
 
     Parameters
     ----------
-    entry_id : int
-        The entry at the centre of the entries that agree on this pose; with landmarks, one with a
-        near silhouette and the usual action among them.
-    mirrored : bool
-        Whether the hypothesis is the mirror image of that entry.
+    entry_id, mirrored
+        The entry at the centre of those that agree on this pose (with landmarks, one with a near
+        silhouette and the usual action among them), and whether this is its mirror image.
     silhouette_distance : float
-        Euclidean distance from the query's descriptor to the interpolated descriptor of the
-        entries that agree on this pose.
+        Euclidean distance from the query's descriptor to the interpolated one of these entries.
     confidence : float
         Probability that the hypothesis is right; see :mod:`index.confidence`.
     points_3d : (24, 3) float64 array
         Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
     points_normalised : (24, 2) float64 array
         Pixels of the normalised frame.
-    posture : str
-        One of :data:`index.posture.POSTURES`.
-    rotation_deg : float
-        In-plane rotation of the entry, clockwise, in the picture of a camera that is not rolled;
-        already applied to the points.
-    tilt_deg : float
-        ``rotation_deg`` plus the roll of the entry's camera: the in-plane tilt of the person.
+    rotation_deg, tilt_deg : float
+        In-plane rotation of the entry, clockwise, in the picture of a camera that is not rolled,
+        already applied to the points; and the same plus the roll of the entry's camera.
     distance : float
         The silhouette distance, shortened or lengthened by the agreement with landmarks or, without
         landmarks, lengthened if a network finds the joints unlikely; see :mod:`index.ranking`.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
     weight : float or None
-        Probability that this hypothesis is nearer to the truth than all others of the first
+        Probability that this is nearer to the truth than all others of the first
         :data:`DEFAULT_HYPOTHESES`; 0 for later ones, None without landmarks.
     reprojection_error_px : float
-        Mean distance, in pixels of the normalised frame, between the entry at the centre of the
-        entries that agree on this pose, scaled and placed on the person, and what was observed:
-        from its points to their landmarks or, without landmarks, between the outlines, averaged
-        both ways.
+        Mean distance, in pixels of the normalised frame, between the entry, scaled and placed on
+        the person, and what was observed: from its points to their landmarks or, without landmarks,
+        between the outlines, averaged both ways.
     in_depth : bool
         Whether this is the first hypothesis at other depths.
     twin : bool
         Whether this is the first hypothesis seen from behind: depth reversed, left and right
         exchanged. Its outline is the same; all fields about the entry are the first hypothesis's.
     features : (F,) float64 array
-        What the confidence follows from: :data:`index.confidence.LANDMARK_FEATURES` or, without
-        landmarks, :data:`index.confidence.FEATURES`, with a network
-        :data:`index.confidence.RERANKING_FEATURES`.
+        What the confidence follows from; see :mod:`index.confidence`.
     """
 
     entry_id: int
@@ -134,21 +124,13 @@ class PoseHypothesis:
 class Match:
     """The hypotheses of a silhouette, in the order of their rank.
 
-    Parameters
-    ----------
-    hypotheses : list of PoseHypothesis
-        The likeliest first; see :func:`ranked`. The first ``k`` do not depend on how many were
-        requested. At least :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit. With
-        landmarks, some of the first seven face the opposite way to the first.
-    front_probability : float
-        Probability that the camera sees the person from the front: the confidence of voters that
-        face it, as a share of the confidence of all. It does not depend on how many were requested.
-    voters : list of PoseHypothesis
-        The hypotheses that decide the posture, however many were requested: modes, but no
-        alternatives in depth and no twin.
-    postures : (10,) float64 array
-        Share of each of :data:`index.posture.POSTURES`: in the votes of the voters, weighted by
-        confidence; of a silhouette alone, if there is a network, their probabilities.
+    At least :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit; the first ``k`` do not
+    depend on how many were requested. With landmarks, some of the first seven face the opposite way
+    to the first. ``front_probability`` is the confidence of the voters that face the camera, as a
+    share of that of all. The voters decide the posture, however many were requested: modes, but no
+    alternatives in depth and no twin. ``postures`` ``(10,)`` are the shares of
+    :data:`index.posture.POSTURES` in their votes; of a silhouette alone, if there is a network,
+    their probabilities.
     """
 
     hypotheses: list[PoseHypothesis]
@@ -161,7 +143,7 @@ class Match:
 class Query:
     """One normalised silhouette ``(128, 48)``, the roll of its camera, and the index to search.
 
-    The roll is not 0 if the silhouette was rotated because it is wide. Skeletons are returned in
+    The roll is not 0 if the silhouette was rotated because it is wide; skeletons are returned in
     the axes of the camera without it.
     """
 
@@ -235,11 +217,8 @@ def with_later_batches(
 ) -> list[PoseHypothesis]:
     """The first batch, and the new poses of as many later ones as ``n`` hypotheses need.
 
-    Parameters
-    ----------
-    batch : callable
-        Finds about as many hypotheses as its first argument says; no distance is smaller than its
-        second argument, the largest of earlier batches.
+    ``batch`` finds about as many hypotheses as its first argument says; no distance is smaller than
+    its second argument, the largest of earlier batches.
     """
     found, size = first, DEFAULT_HYPOTHESES
     while len(found) < n or size < n:
@@ -252,7 +231,6 @@ def with_later_batches(
 
 
 def likeliest_first(hypotheses: Sequence[PoseHypothesis]) -> list[PoseHypothesis]:
-    """Hypotheses in the order of their confidences, the nearer first if they are equal."""
     return sorted(hypotheses, key=lambda one: (-one.confidence, one.distance))
 
 
@@ -278,7 +256,6 @@ def ranked(
 def unlike(
     others: Sequence[PoseHypothesis], known: Sequence[PoseHypothesis]
 ) -> list[PoseHypothesis]:
-    """The hypotheses among ``others`` that are new poses, unlike all known ones."""
     if not others:
         return []
     poses, earlier = (np.array([one.points_3d for one in some]) for some in (others, known))
@@ -292,5 +269,5 @@ def votes_of(voters: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
 
 
 def headings(hypotheses: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
-    """Azimuths ``(N,)`` of the camera about hypotheses; see :func:`index.facing.azimuth_deg`."""
+    """Azimuths ``(N,)`` of the camera about hypotheses; see :func:`index.posture.azimuth_deg`."""
     return azimuth_deg(np.array([one.points_3d for one in hypotheses]))

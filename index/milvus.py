@@ -48,12 +48,9 @@ def milvus_errors() -> Iterator[None]:
 
 
 class MilvusNeighbours:
-    """The vectors of a collection; see :class:`index.search.Neighbours`.
+    """The vectors of a collection, by its own name: an alias may change between two searches.
 
-    Parameters
-    ----------
-    collection : str
-        Its own name: an alias could name different collections in two searches.
+    See :class:`index.search.Neighbours`.
     """
 
     def __init__(self, client: MilvusClient, collection: str) -> None:
@@ -100,12 +97,8 @@ def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | No
     """Load the index that the alias names, to be searched in Milvus; None if it is ``known``.
 
     ``artefacts`` is the artefact, or a folder of several; ``known`` the version loaded already.
-
-    Raises
-    ------
-    ArtefactError, SearchUnavailableError
-        If the collection or its artefact cannot be used; if Milvus does not answer, or nothing is
-        published.
+    Raises ArtefactError if the collection or its artefact cannot be used, SearchUnavailableError if
+    Milvus does not answer, or nothing is published.
     """
     with milvus_errors():
         client = MilvusClient(uri, timeout=_TIMEOUT_S)

@@ -1,13 +1,12 @@
 """Distinct poses among candidates: the modes of their density, interpolated to the query.
 
 Candidates are weighted by the distance of their descriptors from the query's. The modes of their
-density in pose space are taken greedily, densest first. Each mode is then interpolated to the query
-by locally weighted linear regression [1]_ of the pose on the descriptor. This gives a pose between
-the entries, and the distance that remains between the query and the mode.
+density in pose space are taken greedily, densest first, and interpolated to the query by locally
+weighted linear regression [1]_ of the pose on the descriptor.
 
 With landmarks, the depths of the limbs remain uncertain. The depths of the candidates and the
-errors of the landmarks give a posterior of these depths. :func:`depth_modes` takes a few depths
-along its principal axes.
+errors of the landmarks give a posterior of these depths; :func:`depth_modes` takes a few along its
+principal axes.
 
 References
 ----------
@@ -60,18 +59,10 @@ _DENSITY_DIGITS = 12
 class Modes:
     """Poses at which candidates gather.
 
-    Parameters
-    ----------
-    centres : (M,) int64 array
-        Row of each mode's central candidate.
-    votes : (M,) float64 array
-        Share of the candidates' total weight that belongs to each mode.
-    distances : (M,) float64 array
-        Distance from the query's descriptor to the interpolated descriptor of each mode.
-    points_3d : (M, 24, 3) float64 array
-        Interpolated, with the bone lengths of the centre; camera axes, metres.
-    points_normalised : (M, 24, 2) float64 array
-        Interpolated; pixels of the normalised frame.
+    ``centres`` ``(M,)`` are rows of their central candidates, ``votes`` ``(M,)`` their shares of
+    the candidates' weight, ``distances`` ``(M,)`` those from the query's descriptor to the
+    interpolated one. ``points_3d`` ``(M, 24, 3)``, metres in camera axes, have the bone lengths of
+    the centre; ``points_normalised`` ``(M, 24, 2)`` are pixels of the normalised frame.
     """
 
     centres: NDArray[np.int64]
@@ -91,11 +82,9 @@ class Modes:
         return len(self.centres)
 
     def take(self, rows: NDArray[np.integer] | Sequence[int] | slice) -> Modes:
-        """Select modes by row, in the order given."""
         return Modes(*(array[rows] for array in vars(self).values()))
 
     def append(self, modes: Modes) -> Modes:
-        """These modes followed by others."""
         pairs = zip(vars(self).values(), vars(modes).values(), strict=True)
         return Modes(*(np.concatenate(pair) for pair in pairs))
 
@@ -117,15 +106,10 @@ def find_modes(
     offsets : (K, ...) array
         From the candidates to the query, between descriptors or between points in the picture;
         modes are interpolated to where these vanish.
-    fit : callable, optional
+    fit : callable
         Moves interpolated modes towards other evidence; modes that then coincide are kept once.
     bandwidth_m : float
         Smaller for an index that covers few motions densely, as in the paper's experiments.
-
-    Returns
-    -------
-    Modes
-        Fewer than ``count`` if the candidates hold fewer distinct poses.
     """
     flat = np.asarray(offsets, np.float64).reshape(len(candidates), -1)
     densest = _densest(weights, _joint_distances(candidates.points_3d[:, :JOINTS]), bandwidth_m)
@@ -154,14 +138,9 @@ _ALONG_AXES = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]]
 class DepthModes:
     """Alternatives to the depths of landmarks.
 
-    Parameters
-    ----------
-    offsets : (5, 12) float64 array
-        Depths of the limbs behind the landmarks, metres.
-    nearer : (5,) float64 array
-        Probability that the truth is nearer to each than to the depths of the landmarks.
-    misfits : (5,) float64 array
-        Negative log likelihood of the landmarks, relative to that at their own depths.
+    ``offsets`` ``(5, 12)`` are depths of the limbs behind the landmarks, metres; ``nearer``
+    ``(5,)`` the probabilities that the truth is nearer to each than to the landmarks; ``misfits``
+    ``(5,)`` the negative log likelihoods of the landmarks, relative to that at their own depths.
     """
 
     offsets: NDArray[np.float64]
@@ -177,11 +156,6 @@ def depth_modes(
     For each candidate, the posterior of the depths is the product of the errors of the landmarks
     and a normal distribution about the candidate. The mixture of these is taken as normal, and the
     alternatives lie along its principal axes.
-
-    Parameters
-    ----------
-    agreement : Agreement
-        How the candidates agree with the landmarks.
     """
     apart = -landmarks.limb_offsets(candidates.points_3d)[..., 2]
     limbs = np.eye(len(LIMBS))
@@ -210,7 +184,6 @@ def depth_modes(
 
 
 def _distinct(modes: Modes, min_distance_m: float) -> list[int]:
-    """Rows of the interpolated modes that are not too near to an earlier one."""
     near = _joint_distances(modes.points_3d[:, :JOINTS]) < min_distance_m
     distinct: list[int] = []
     for row, near_row in enumerate(near.tolist()):
@@ -245,8 +218,7 @@ def likely_weights(distances: NDArray[np.float64], agreement: Agreement) -> NDAr
 def candidate_weights(distances: NDArray[np.float64], fall_off: float = 0.3) -> NDArray[np.float64]:
     """Weights ``(K,)`` of candidates at ascending distances ``(K,)``: 1 for the nearest.
 
-    A candidate farther than the nearest by twice ``fall_off`` times the nearest's distance weighs
-    1/e.
+    1/e for one farther than the nearest by twice ``fall_off`` times the nearest's distance.
     """
     nearest = max(distances[0], _MIN_NEAREST_SHARE * distances[-1])
     return np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9))

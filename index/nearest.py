@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates, silhouette_rotations
-from index.facing import front_share
 from index.matching import DEFAULT_HYPOTHESES, Match, PoseHypothesis, Query, headings, votes_of
 from index.modes import Modes
+from index.posture import front_share
 from index.skeleton import JOINTS
 from index.store import PoseIndex
 
@@ -88,7 +88,6 @@ def reprojection_confidence(errors_px: NDArray[np.float64]) -> NDArray[np.float6
 def _hypotheses(
     query: Query, entries: Candidates, errors_px: NDArray[np.float64]
 ) -> list[PoseHypothesis]:
-    """The entries as hypotheses, each by itself."""
     count = len(entries)
     each = Modes(
         np.arange(count),

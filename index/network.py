@@ -1,8 +1,7 @@
 """A small convolutional network, in NumPy, that predicts where a silhouette's joints may be.
 
 For each joint it gives three distributions, over columns and rows of the normalised frame and over
-depths [1]_. It does not estimate poses itself, but measures how well a skeleton from the index
-agrees with the silhouette; the descriptor keeps only 48 values of it.
+depths [1]_, which measure how well a skeleton from the index agrees with the silhouette.
 
 Weights and activations are quantised to integers of seven bits plus sign, and sums of their
 products stay below 2 to the 24th. The sums are therefore exact in 32-bit floats, whatever the order
@@ -89,17 +88,14 @@ _COORDINATES = np.stack(
 def network_input(silhouettes: NDArray[np.uint8]) -> Array:
     """Input planes ``(B, 64, 24, 3)`` of silhouettes ``(B, 128, 48)``.
 
-    They are the silhouette at half resolution, as an index stores it, and a column and a row
-    coordinate, because the appearance of a limb depends on its place.
+    The silhouette at half resolution, as an index stores it, and a column and a row coordinate,
+    because the appearance of a limb depends on its place.
     """
     return input_planes(halve(silhouettes))
 
 
 def halve(silhouettes: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Halve the resolution of silhouettes ``(B, 128, 48)``: ``(B, 64, 24)``.
-
-    The majority of four pixels decides; in a tie, the first pixel does.
-    """
+    """Halve silhouettes ``(B, 128, 48)``: the majority of four pixels decides, or the first."""
     first = silhouettes[:, ::2, ::2]
     total = first + silhouettes[:, 1::2, ::2] + silhouettes[:, ::2, 1::2]
     total += silhouettes[:, 1::2, 1::2]
@@ -119,8 +115,8 @@ def joint_positions(
 ) -> NDArray[np.float64]:
     """Columns, rows and depths ``(N, 19, 3)`` of the joints of skeletons; see :data:`AXES`.
 
-    Of skeletons ``(N, P, 3)``, in metres about the pelvis and axes of the camera that saw the
-    silhouette, and in pixels of the normalised frame, the first 19 points are the joints.
+    Skeletons ``(N, P, 3)``, metres about the pelvis, are in axes of the camera that saw the
+    silhouette.
     """
     pairs = points_normalised[:, :JOINTS], points_3d[:, :JOINTS, 2:]
     return np.concatenate(pairs, axis=-1, dtype=np.float64)
@@ -167,7 +163,7 @@ class Distributions:
     ) -> NDArray[np.float64]:
         """Posterior mean positions ``(N, 19, 3)`` of joints, with a normal prior about given ones.
 
-        ``spread`` holds the standard deviations of the prior: columns and rows in pixels, depths in
+        ``spread`` are the prior's standard deviations: columns and rows in pixels, depths in
         metres.
         """
         means = np.empty(positions.shape)
@@ -187,7 +183,6 @@ class Distributions:
         return Distributions(np.concatenate([columns[:, ::-1], rows, depths], axis=1))
 
     def mean(self, other: Distributions) -> Distributions:
-        """Mean probabilities of two distributions."""
         either = np.logaddexp(self.log_probabilities, other.log_probabilities)
         return Distributions(either - np.log(2))
 
@@ -287,18 +282,15 @@ class JointNetwork:
     def read(self, silhouette: NDArray[np.uint8]) -> Reading:
         """Predict where the joints of a silhouette ``(128, 48)`` may be.
 
-        The result is the mean for the silhouette and for its mirror image, which is more accurate
-        than one pass and exactly symmetric under mirroring.
+        The mean for the silhouette and its mirror image is more accurate than one pass, and exactly
+        symmetric under mirroring.
         """
         planes, mirrored = network_input(np.stack([silhouette, silhouette[:, ::-1]]))
         (joints, hidden), (others, other_hidden) = self.forward(planes), self.forward(mirrored)
         return Reading(joints.mean(others.mirrored()), np.rint((hidden + other_hidden) / 2))
 
     def forward(self, planes: Array) -> tuple[Distributions, Array]:
-        """Run the network on the input planes ``(64, 24, 3)`` of one silhouette.
-
-        Returns the distributions, and the values ``(512,)`` of the hidden layer.
-        """
+        """Distributions, and values ``(512,)`` of the hidden layer, for one silhouette's planes."""
         *inner, output = self.layers
         values = quantise(planes)
         for number, layer in enumerate(inner):

@@ -1,8 +1,12 @@
-"""The postures that answers name, and the posture of a skeleton, by rules on its geometry.
+"""The posture and the facing of skeletons.
 
-Lengths are measured in legs (thigh and shank), heights from the lowest joint. The rules are tried
-in the order of the table in ``docs/notes/index.md``; the first that holds decides. The posture of a
-*person* follows from the votes of skeletons: :mod:`app.estimation.posture`.
+Postures follow from rules on geometry. Lengths are measured in legs (thigh and shank), heights from
+the lowest joint. The rules are tried in the order of the table in ``docs/notes/index.md``; the
+first that holds decides. The posture of a *person* follows from the votes of skeletons:
+:mod:`app.estimation.posture`.
+
+A silhouette fits a pose and its reflection in depth equally well, and landmarks may be wrong in
+depth, so hypotheses face both ways.
 """
 
 from collections.abc import Sequence
@@ -135,21 +139,11 @@ def classify_postures(
     up: ArrayLike,
     speed: ArrayLike = 0.0,
 ) -> NDArray[np.int64]:
-    """Classify the postures of skeletons.
+    """Positions ``(N,)`` in :data:`POSTURES` of skeletons ``(N, P, 3)``, metres in any axes.
 
-    Parameters
-    ----------
-    points_3d : (N, P, 3) float array
-        Metres, in any axes; the first 19 points are the joints.
-    up : (3,) or (N, 3) float array
-        Unit vectors away from the ground, in the same axes.
-    speed : float or (N,) array
-        Horizontal speed, metres per second; it separates walking and running from standing.
-
-    Returns
-    -------
-    (N,) int64 array
-        Positions in :data:`POSTURES`.
+    Their first 19 points are the joints; ``up`` ``(3,)`` or ``(N, 3)`` are unit vectors away from
+    the ground. The horizontal speed, in metres a second, separates walking and running from
+    standing.
     """
     joints = np.asarray(points_3d, np.float64)[:, :JOINTS]
     up = np.asarray(up, np.float64)
@@ -202,10 +196,7 @@ def classify_postures(
 
 
 def vote_posture(postures: Sequence[PostureName], weights: Sequence[float]) -> NDArray[np.float64]:
-    """Share ``(10,)`` of each of ``POSTURES`` in the votes of one or more hypotheses.
-
-    They vote for their postures with their confidences.
-    """
+    """Share ``(10,)`` of each of ``POSTURES`` in the weighted votes of one or more hypotheses."""
     votes = np.zeros(len(POSTURES))
     for posture, weight in zip(postures, weights, strict=True):
         votes[POSTURES.index(posture)] += weight + 1e-9  # Equal votes if all weights are 0.
@@ -219,9 +210,9 @@ def camera_up(elevation_deg: ArrayLike) -> NDArray[np.float64]:
 
 
 def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
-    """Elevation of the camera ``(N,)`` that makes trunks most nearly level.
+    """Elevations ``(N,)`` of the camera that make trunks of skeletons ``(N, P, 3)`` nearly level.
 
-    Skeletons ``(N, P, 3)`` are in the axes of a camera that is not rolled.
+    They are in the axes of a camera that is not rolled.
     """
     pelvis, neck = rows("pelvis", "neck")
     trunk = np.asarray(points_3d[:, neck] - points_3d[:, pelvis], np.float64)
@@ -247,3 +238,60 @@ def _distance_from_feet(
     length = np.maximum(squared_lengths(line), 1e-12)
     share = np.clip(-(start * line).sum(axis=-1) / length, 0, 1)
     return np.sqrt(squared_lengths(start + share[..., None] * line).min(axis=1))
+
+
+_CORNERS = np.array([side_rows("shoulder"), side_rows("hip")]).T
+"""Rows ``(2, 2)``: left and right, shoulder and hip."""
+
+HYPOTHESES_PER_OPPOSITE_FACING = 7
+"""At least one in this many hypotheses faces the opposite way to the first, since landmarks may be
+wrong."""
+
+
+def azimuth_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Azimuths ``(...)`` of the camera about shoulders and hips of skeletons ``(..., 24, 3)``.
+
+    In degrees from -180 to 180: 0 in front, 90 on the person's left, whatever the direction of the
+    trunk in the picture: people lying down may face the camera as well. Skeletons are in camera
+    axes.
+    """
+    corners = np.asarray(points_3d[..., _CORNERS, :], np.float64)
+    across = (corners[..., 0, :, :] - corners[..., 1, :, :]).sum(axis=-2)
+    trunk = (corners[..., 0, :] - corners[..., 1, :]).sum(axis=-2)
+    length = np.maximum(np.hypot(trunk[..., 0], trunk[..., 1]), 1e-9)
+    # Component to the right of the trunk, if the trunk points up.
+    aside = (trunk[..., 0] * across[..., 1] - trunk[..., 1] * across[..., 0]) / length
+    return np.rad2deg(np.arctan2(-across[..., 2], aside))
+
+
+def faces_camera(azimuths_deg: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether the camera is in front of the person, for each azimuth."""
+    return np.cos(np.deg2rad(azimuths_deg)) > 0
+
+
+def front_share(azimuths_deg: NDArray[np.float64], confidences: NDArray[np.float64]) -> float:
+    """Share of the hypotheses' total confidence that faces the camera; arrays are ``(N,)``."""
+    weights = confidences + 1e-9  # Equal weights if all confidences are 0.
+    return float(np.clip(weights[faces_camera(azimuths_deg)].sum() / weights.sum(), 0, 1))
+
+
+def likeliest_of_both_facings(
+    azimuths_deg: NDArray[np.float64],
+    confidences: NDArray[np.float64],
+    front_probability: float,
+    count: int,
+) -> list[int]:
+    """Choose ``count`` rows of hypotheses, with each facing as frequent as it is likely.
+
+    The likeliest is among them, and one in :data:`HYPOTHESES_PER_OPPOSITE_FACING` that faces the
+    opposite way, as long as there are any. Rows come in the order of their confidences.
+    """
+    order: list[int] = np.argsort(-confidences, kind="stable").tolist()
+    front = faces_camera(azimuths_deg)
+    opposite = front != front[order[0]]
+    share = 1 - front_probability if front[order[0]] else front_probability
+    share = max(share, 1 / HYPOTHESES_PER_OPPOSITE_FACING)
+    wanted = min(int(share * count + 1e-9), count - 1)  # Seven sevenths are one.
+    away = [row for row in order if opposite[row]][:wanted]
+    others = [row for row in order if row not in away][: max(0, count - len(away))]
+    return [row for row in order if row in away or row in others]

@@ -78,7 +78,6 @@ class NetworkRanking(DistanceRanking):
 
     @classmethod
     def of(cls, model: RankingModel, silhouette: NDArray[np.uint8]) -> NetworkRanking:
-        """Run the network on a silhouette ``(128, 48)``."""
         return cls(model.calibration, model, model.network.read(silhouette))
 
     def log_likelihood(self, found: Candidates | Modes) -> NDArray[np.float64]:
@@ -107,15 +106,11 @@ class NetworkRanking(DistanceRanking):
         return replace(modes, points_3d=moved, points_normalised=placed)
 
     def support(self, candidates: Candidates) -> NDArray[np.float64]:
-        """Factors ``(K,)`` of the candidates' weights, 1 for the likeliest."""
         likelihood = self.log_likelihood(candidates)
         return np.exp(self.model.support_weight * (likelihood - likelihood.max()))
 
     def distances(self, modes: Modes) -> NDArray[np.float64]:
-        """Descriptor distances ``(M,)``, increased more the less likely the joints are.
-
-        The likeliest mode keeps its distance.
-        """
+        """Descriptor distances ``(M,)``, increased the more, the less likely the joints are."""
         likelihood = self.log_likelihood(modes)
         lacking = likelihood.max() - likelihood
         return modes.distances * np.exp(self.model.order_weight * lacking)

@@ -34,26 +34,10 @@ class Neighbours(Protocol):
     def search(
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Find the ``k`` vectors nearest to each query.
+        """Squared distances, ascending, and rows ``(Q, k)`` of the nearest of queries ``(Q, D)``.
 
-        Parameters
-        ----------
-        queries : (Q, D) float32 array
-        k : int
-            From 1 to the number of vectors.
-
-        Returns
-        -------
-        squared : (Q, k) float32 array
-            Squared Euclidean distances, ascending. A search may round queries to the steps of the
-            vectors.
-        ids : (Q, k) int64 array
-            Rows of the vectors.
-
-        Raises
-        ------
-        SearchUnavailableError
-            If the search runs on a server that does not answer.
+        A search may round queries to the steps of the vectors. Raises SearchUnavailableError if it
+        runs on a server that does not answer.
         """
 
 
@@ -85,7 +69,6 @@ class ExactNeighbours:
 
     @property
     def rounds_queries(self) -> bool:
-        """Whether the vectors are bytes."""
         return self._in_bytes
 
     @property
@@ -105,8 +88,8 @@ class ExactNeighbours:
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`.
 
-        If the vectors are bytes, queries are rounded to steps as well: some versions of FAISS
-        truncate the fraction and let numbers beyond a byte's range overflow.
+        If the vectors are bytes, queries are rounded as well: some versions of FAISS truncate the
+        fraction and let numbers beyond a byte's range overflow.
         """
         scaled = np.ascontiguousarray(queries * self._factor, np.float32)
         if self._in_bytes:
@@ -125,10 +108,9 @@ def _search(
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let FAISS work in this thread alone.
+    """Let FAISS work in this thread alone, and restore the caller's number of threads.
 
-    A forked process would wait for ever for the OpenMP threads of its parent. Each thread has its
-    own number of them; that of the caller is restored.
+    A forked process would wait for ever for the OpenMP threads of its parent.
     """
     threads = faiss.omp_get_max_threads()
     faiss.omp_set_num_threads(1)

@@ -1,8 +1,7 @@
-"""From a silhouette alone to distinct poses in the order of their rank.
+"""From a silhouette alone to distinct poses in the order of their confidences.
 
-Modes of the entries nearest to the silhouette are chosen by their distances. If the index has a
-network, the likelihood that it gives to their joints counts as well. They come in the order of
-their confidences.
+Modes of the entries nearest to the silhouette are chosen by their distances and, if the index has a
+network, by the likelihood that it gives to their joints.
 """
 
 from dataclasses import replace
@@ -13,7 +12,6 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates, RotatedQuery, find_candidates, silhouette_rotations
 from index.confidence import RIGHT_BELOW_PX
-from index.facing import front_share
 from index.matching import (
     CANDIDATES_PER_HYPOTHESIS,
     DEFAULT_HYPOTHESES,
@@ -29,6 +27,7 @@ from index.matching import (
     with_later_batches,
 )
 from index.modes import Modes, candidate_weights, find_modes
+from index.posture import front_share
 from index.ranking import DistanceRanking, NetworkRanking
 from index.skeleton import JOINTS, exchange_sides, mean_joint_distance, reversed_in_depth
 from index.store import PoseIndex
@@ -63,13 +62,11 @@ class _SilhouetteQuery(Query):
 
     @cached_property
     def ranking(self) -> DistanceRanking:
-        """The ranking: by the network if there is one."""
         if self.index.reranker is None:
             return DistanceRanking(self.index.calibration)
         return NetworkRanking.of(self.index.reranker, self.silhouette)
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
-        """Find about ``n`` hypotheses; see :func:`index.matching.with_later_batches`."""
         return self._at_modes(*self._modes(n), at_least)
 
     def first_batch(self) -> tuple[list[PoseHypothesis], list[PoseHypothesis]]:
@@ -153,7 +150,7 @@ class _SilhouetteQuery(Query):
     def _modes(self, n: int) -> tuple[Candidates, Modes, NDArray[np.float64]]:
         """About ``n`` modes, nearest first, with their distances, and their candidates.
 
-        The number of candidates grows until they have ``n`` modes or the index has no more entries.
+        The candidates grow in number until they have ``n`` modes or the index has no more entries.
         """
         rotations = silhouette_rotations(self.silhouette, self.roll_deg)
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]

@@ -48,7 +48,6 @@ class Silhouettes:
             raise ValueError(f"expected {self.ends[-1]} bytes of silhouettes, got {len(self.data)}")
 
     def select(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> Silhouettes:
-        """Some silhouettes, still compressed."""
         starts = np.concatenate([[0], self.ends[:-1]])[rows]
         ends = self.ends[rows]
         spans = zip(starts.tolist(), ends.tolist(), strict=True)
@@ -59,13 +58,7 @@ class Silhouettes:
         return len(self.ends)
 
     def take(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
-        """Decompress silhouettes: ``(B, 128, 48)`` uint8 of 0 and 1.
-
-        Raises
-        ------
-        IndexError
-            If there is no such silhouette.
-        """
+        """Decompress silhouettes ``(B, 128, 48)`` of 0 and 1; IndexError if there is none."""
         dictionary, size = self.dictionary.tobytes(), PACKED_BYTES // self.step**2
         columns = np.empty((len(numbers), size), np.uint8)
         for row, number in zip(columns, numbers, strict=True):

@@ -63,7 +63,6 @@ def side_rows(*parts: str, among: Sequence[str] = POINT_NAMES) -> list[int]:
 
 
 def other_side(name: str) -> str:
-    """Name of the same point on the other side of the body."""
     side, _, part = name.partition("_")
     return f"{SIDES[side == 'left']}_{part}" if side in SIDES else name
 
@@ -220,10 +219,7 @@ KEYPOINT_SETS["cmu19"] = NATIVE
 def mean_joint_distance(
     points: NDArray[np.float64], others: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Mean distances ``(...)`` between the joints of skeletons ``(..., P, D)``, broadcast.
-
-    Only the first 19 points, the joints, are compared.
-    """
+    """Mean distances ``(...)`` between the 19 joints of skeletons ``(..., P, D)``, broadcast."""
     joints = np.s_[..., :JOINTS, :]
     return np.sqrt(squared_lengths(points[joints] - others[joints])).mean(axis=-1)
 
@@ -252,21 +248,11 @@ def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArra
 def camera_rotation(
     azimuth_deg: ArrayLike, elevation_deg: ArrayLike, roll_deg: ArrayLike = 0.0
 ) -> NDArray[np.float64]:
-    """Rotation from body axes to the axes of a camera that looks at the pelvis.
+    """Rotations ``(..., 3, 3)`` from body axes to those of cameras that look at the pelvis.
 
-    Parameters
-    ----------
-    azimuth_deg : float or (V,) array
-        0: in front of the person; 90: at the person's left side.
-    elevation_deg : float or (V,) array
-        Elevation of the camera above the horizontal.
-    roll_deg : float or (V,) array
-        Rotation about the optical axis; positive rotates the picture clockwise.
-
-    Returns
-    -------
-    (3, 3) or (V, 3, 3) float64 array
-        ``camera = rotation @ body``.
+    ``camera = rotation @ body``. The azimuth is 0 in front of the person and 90 at their left side,
+    the elevation is above the horizontal; a positive roll rotates the picture clockwise. Angles
+    broadcast.
     """
     azimuth, elevation, roll = np.broadcast_arrays(
         *(np.deg2rad(np.asarray(a, np.float64)) for a in (azimuth_deg, elevation_deg, roll_deg))
@@ -288,8 +274,8 @@ def camera_rotation(
 def project(points: NDArray[np.floating], distance: ArrayLike) -> NDArray[np.float64]:
     """Perspective projection ``(..., P, 2)`` of points, for a camera ``distance`` metres away.
 
-    Points ``(..., P, 3)`` are in camera axes and metres about the pelvis; none may be behind the
-    camera. The result is in metres in the plane through the pelvis, x right and y down.
+    Points ``(..., P, 3)``, in camera axes and metres about the pelvis, are in front of the camera.
+    The result is in metres in the plane through the pelvis, x right and y down.
     """
     points = np.asarray(points, np.float64)
     depth = np.asarray(distance, np.float64)[..., None]
@@ -324,7 +310,6 @@ def with_bone_lengths(
 def with_bone_lengths_of(
     skeleton: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Set the bone lengths of skeletons ``(..., 24, 3)`` to those of ``skeleton``."""
     return with_bone_lengths(points, bone_lengths(skeleton))
 
 
@@ -355,8 +340,8 @@ def pixels_per_metre(
 ) -> NDArray[np.float64]:
     """Scales ``(M,)`` of weak-perspective projections of skeletons, by least squares.
 
-    Skeletons ``(M, 24, 3)`` are in camera axes and metres, their places ``(M, 24, 2)`` in pixels.
-    Only the leading ``points`` are used, by default the joints.
+    Of skeletons ``(M, 24, 3)``, in camera axes and metres, and their places ``(M, 24, 2)`` in
+    pixels, the leading ``points`` are used, by default the joints.
     """
     metres = points_3d[:, :points, :2] - points_3d[:, :points, :2].mean(axis=1, keepdims=True)
     pixels = points_2d[:, :points]

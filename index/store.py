@@ -39,11 +39,10 @@ ENTRY_DTYPE = np.dtype(
 class Label:
     """The source of an entry: motion, avatar and camera.
 
-    The action is the label of the motion, the clip its name, ``frame`` the frame of the BVH file,
-    from 0, and the subject the name of the avatar. ``mirrored`` says whether left and right are
-    exchanged, in the pose and in the camera: each entry also represents its mirror image. The
-    camera's direction is as in :func:`index.skeleton.camera_rotation`; its distance is measured to
-    the pelvis.
+    The action labels the motion, ``frame`` is that of the BVH file of the clip, from 0, the subject
+    is the avatar. ``mirrored``: each entry also represents its mirror image, in pose and camera.
+    The camera's direction is as in :func:`index.skeleton.camera_rotation`; its distance is to the
+    pelvis.
     """
 
     entry_id: int
@@ -141,7 +140,6 @@ class PoseIndex:
 
     @property
     def calibration(self) -> Calibration:
-        """The confidence of hypotheses that no network ranks."""
         return Calibration.restore(self.parameters["confidence"])
 
     def search(
@@ -149,8 +147,8 @@ class PoseIndex:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Find the ``k`` entries nearest to any of ``V`` variants of each query ``(B, V, D)``.
 
-        Returns entries, nearest first, and the variant for which each was found, ``(B, K)`` both.
-        An entry may be found for several variants, so K is at most ``V * E``.
+        Returns entries, nearest first, and the variant for which each was found, ``(B, K)`` both; K
+        is at most ``V * E``, since an entry may be found for several variants.
         """
         queries, variants, dimension = vectors.shape
         flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
@@ -175,10 +173,9 @@ class PoseIndex:
     def points(
         self, entry_ids: NDArray[np.integer]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Skeletons of entries ``(B,)``: ``(B, P, 3)`` in metres, and ``(B, P, 2)``.
+        """Skeletons of entries: ``(B, P, 3)`` metres in camera axes about the pelvis, and pixels.
 
-        The 3D points are in camera axes about the pelvis, the 2D points in pixels of the normalised
-        frame.
+        The latter, ``(B, P, 2)``, are of the normalised frame.
         """
         entries = self.entries[entry_ids]
         rotations = camera_rotation(
@@ -194,19 +191,12 @@ class PoseIndex:
         return points_3d, points_normalised
 
     def entry(self, entry_id: int) -> Entry:
-        """An entry; raises like :meth:`label`."""
         label = self.label(entry_id)
         points_3d, points_normalised = (points[0] for points in self.points(np.array([entry_id])))
         return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)
 
     def label(self, entry_id: int, *, mirrored: bool = False) -> Label:
-        """The label of an entry, or of its mirror image.
-
-        Raises
-        ------
-        IndexError
-            If there is no such entry.
-        """
+        """The label of an entry, or of its mirror image; IndexError if there is no such entry."""
         if not 0 <= entry_id < len(self):
             raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {entry_id}")
         # The row is read as a tuple: reading it field by field takes three times as long.

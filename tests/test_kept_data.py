@@ -32,8 +32,8 @@ LISTED = {
 
 # Of these, an attribute is listed, since they show pixels or colours.
 _PICTURES = (
-    "_Scene.now",
-    "_Scene._searched",
+    "Scene.now",
+    "Scene._searched",
     "View._usual",
     "View._lasting",
     "Patch.grey",
@@ -97,7 +97,7 @@ def test_pictures_are_as_small_as_the_model_card_says(street: CameraSession) -> 
     kept = kept_arrays(street)
     shapes = {name: [array.shape for array in kept.pop(name)] for name in _PICTURES}
     # No smaller person is wanted than a twelfth of the photograph's 576 rows.
-    of_camera = ("_Scene.now", "_Scene._searched", "View._usual", "View._lasting")
+    of_camera = ("Scene.now", "Scene._searched", "View._usual", "View._lasting")
     assert [shapes[name] for name in of_camera] == [[(12 * 8, 89)]] * 4
     assert set(shapes["Patch.grey"]) == {(16, 16)} and len(shapes["Patch.grey"]) <= 2 * 5
     assert shapes["Track.colours"] == [(80,)] * 5

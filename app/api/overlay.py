@@ -140,8 +140,8 @@ def write_text(
 ) -> int:
     """Write text with a dark outline into a BGR picture; return the column where it ends.
 
-    ``corner`` is the column and row of its bottom left, ``letter`` the height of a capital letter,
-    in pixels.
+    ``corner`` is the column and row of its bottom left, ``letter`` the height of a capital, in
+    pixels.
     """
     scale, line = letter / _FONT_PX, max(1, letter // 9)
     for width, paint in ((line + 2, (0, 0, 0)), (line, colour)):

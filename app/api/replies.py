@@ -29,7 +29,7 @@ SIZE_SD = 0.1
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Count the pixels of a frame down its columns, in turn outside and inside a silhouette.
 
-    The first count is of pixels outside; it is 0 if the first pixel lies inside.
+    The first count, of pixels outside, is 0 if the first pixel lies inside.
     """
     height, width = frame_shape[:2]
     # Working in one dimension is several times as fast; no run crosses the margin of a column.
@@ -64,7 +64,7 @@ def compressed(counts: NDArray[np.int64]) -> str:
 
 
 def polygon(silhouette: Silhouette) -> list[list[float]]:
-    """Return the outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in frame pixels.
+    """Outlines of a silhouette's parts, each ``[x1, y1, x2, y2, ...]`` in frame pixels.
 
     They run through the centres of the outermost pixels and have at least three points, as COCO
     requires; holes are omitted.
@@ -95,7 +95,6 @@ class ReplyForm:
 
 
 def significant(value: float) -> float:
-    """Round to :data:`SIGNIFICANT_DIGITS`."""
     return float(f"{value:.{SIGNIFICANT_DIGITS}g}")
 
 
@@ -107,8 +106,7 @@ def pose_reply(
 ) -> schemas.PoseResponse:
     """Write the answer to a frame.
 
-    ``checkpoint`` is called before each person; it raises an error if the answer is no longer
-    wanted.
+    ``checkpoint`` is called before each person; it raises an error if the answer is not wanted.
     """
 
     def write(person: Person) -> schemas.Person:
@@ -120,7 +118,6 @@ def pose_reply(
 
 
 def tracked_fields(frame: TrackedFrame, index: PoseIndex, form: ReplyForm) -> dict[str, Any]:
-    """Write the fields of a tracked frame, whether a camera or a video shows it."""
     return {
         **_frame_fields(frame, index, form),
         "frame_index": frame.frame_index,
@@ -150,7 +147,6 @@ def _frame_fields(seen: Estimate, index: PoseIndex, form: ReplyForm) -> dict[str
 def index_reply(
     index: PoseIndex, version: str, revision: str, method: Method
 ) -> schemas.IndexResponse:
-    """Describe an index."""
     parameters = dict(index.parameters)
     return schemas.IndexResponse.model_validate(
         {
@@ -174,7 +170,6 @@ def index_reply(
 
 
 def entry_reply(entry: Entry, keypoints: schemas.KeypointSetName) -> schemas.EntryResponse:
-    """Describe an entry of an index."""
     chosen = KEYPOINT_SETS[keypoints]
     return schemas.EntryResponse.model_validate(
         {
@@ -306,7 +301,6 @@ def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> l
 
 
 def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
-    """Describe a camera."""
     settings, session = camera.settings, camera.session
     zones, optics = settings.zones, settings.optics
     return tracking_schemas.CameraState.model_validate(
@@ -333,7 +327,6 @@ _NO_SESSION: dict[str, Any] = {
 
 
 def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
-    """Convert a camera's configuration."""
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]

@@ -7,7 +7,7 @@ from functools import partial
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
-from app.vision.background import cut_out_changed, foreground, upright_regions
+from app.vision.cutting import cut_out_changed, foreground, upright_regions
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.tiles import smallest_person_px, tiles_of
 from app.vision.geometry import Box, PersonWindow

@@ -3,7 +3,7 @@
 Rules name the posture of every hypothesis (:mod:`index.posture`), and each hypothesis votes for it
 with its confidence. Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`).
 In a frame with landmarks, these six decide, and the votes split them into finer ones. Without
-landmarks, the silhouette decides (:mod:`index.silhouette_posture`). Over the frames of a track,
+landmarks, the silhouette decides (:mod:`index.reranking`). Over the frames of a track,
 both are averaged.
 """
 
@@ -44,7 +44,6 @@ class EstimatedPosture:
     shares: NDArray[np.float64] = field(default_factory=lambda: np.zeros(len(POSTURES)))
 
     def share(self, postures: Sequence[PostureName]) -> float:
-        """Sum of the shares of the given postures."""
         return float(sum(self.shares[POSTURES.index(posture)] for posture in postures))
 
 
@@ -60,11 +59,8 @@ def likeliest_posture(
 ) -> EstimatedPosture:
     """The likeliest posture, given its shares ``(10,)``.
 
-    ``presence`` is the probability that there is a person at all, ``confidence`` that of the best
-    hypothesis.
-
-    If no hypothesis fits, votes and landmarks are doubtful as well, so the confidence of the best
-    hypothesis limits the probability.
+    ``presence`` is the probability that there is a person at all. If no hypothesis fits, votes and
+    landmarks are doubtful as well, so the confidence of the best one limits the probability.
     """
     best = int(shares.argmax())
     limit = MIN_PROBABILITY + _CONFIDENCE_SLOPE * confidence

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture
-from app.vision.appearance import Patch
+from app.scene import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
@@ -43,8 +43,8 @@ class Facing:
 class ProjectedHypothesis(PoseHypothesis):
     """A hypothesis with the label of its entry, placed in front of the camera.
 
-    Its ``points_3d`` are in the camera's axes and in the person's size. ``points_2d`` ``(24, 2)``
-    are pixels of the frame, ``pelvis`` ``(3,)`` metres from the camera, in its axes.
+    ``points_3d`` are in the camera's axes and in the person's size, ``points_2d`` ``(24, 2)``
+    pixels of the frame, ``pelvis`` ``(3,)`` metres from the camera, in its axes.
     """
 
     label: Label
@@ -71,12 +71,11 @@ class Person:
     people, the silhouette if none was found in a caller's box. Landmarks and everything that
     follows from them, including ``trust`` and the frame's posture, are None if no landmarks were
     read. ``presence``, from the trust, is the probability that the window of the reading shows a
-    person. ``next_window`` is the window to read in the next frame, ``seen_keypoints`` are those of
-    MoveNet relative to the landmarks. ``beside`` says that the network saw the person only while
-    others were painted over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked
-    person. ``hips`` ``(3,)`` is the middle of the hips, metres from the camera in its axes.
-    Hypotheses come best first; without a silhouette there are no hypotheses, colours, facing or
-    posture.
+    person. ``next_window`` is to be read in the next frame, ``seen_keypoints`` are MoveNet's
+    relative to the landmarks. ``beside`` says that the network saw the person only while others
+    were painted over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked person.
+    ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses come best
+    first; without a silhouette there are no hypotheses, colours, facing or posture.
     """
 
     box: Box
@@ -99,7 +98,6 @@ class Person:
 
     @property
     def whole_box(self) -> Box:
-        """The silhouette's box, or the detection's if there is no silhouette."""
         return self.box if self.silhouette is None else self.silhouette.box
 
     @property
@@ -142,8 +140,7 @@ class Estimate:
     """The people of a frame, from left to right.
 
     The frame ``(H, W, 3)``, BGR, is as it was sent, black if the caller sent a mask alone; its
-    camera has square pixels. Warnings are those of :class:`app.vision.images.Photograph`;
-    ``timings_ms`` are the milliseconds by stage and in total.
+    camera has square pixels. ``timings_ms`` are the milliseconds by stage and in total.
     """
 
     frame: NDArray[np.uint8]

@@ -72,14 +72,9 @@ class Upload:
     3)`` of uint8, BGR; it may be missing if there is a mask. A mask is a label image, as an array
     ``(H, W)`` of whole numbers or booleans: 0 is background, k is person k. It cannot be combined
     with boxes, which are in pixels of the frame, or with a background, a photograph of the empty
-    scene.
-    ``track_ids`` are the caller's identities of the people in the boxes. Without optics, a field of
-    view is assumed, with square pixels and an upright camera.
-
-    Raises
-    ------
-    UploadError
-        If the parts do not go together.
+    scene. ``track_ids`` are the caller's identities of the people in the boxes. Without optics, a
+    field of view is assumed, with square pixels and an upright camera. Raises UploadError if the
+    parts do not go together.
 
     Examples
     --------
@@ -158,9 +153,8 @@ class DecodedUpload:
     """Images of one size, with square pixels and upright, and boxes within them.
 
     Images are ``(H, W, 3)``, BGR. ``sent`` is the frame as sent; it is black, and ``has_frame``
-    false, if the caller sent a mask alone. ``frame`` is the rectified frame; the camera belongs to
-    it, and boxes are clipped to it. ``rectification`` converts between the two. Warnings about the
-    frame are those of :class:`app.vision.images.Photograph`.
+    false, if the caller sent a mask alone. ``frame`` is the rectified frame, to which camera and
+    boxes belong; ``rectification`` converts between the two.
     """
 
     sent: NDArray[np.uint8]
@@ -177,9 +171,9 @@ class DecodedUpload:
     def halved(
         cls, upload: Upload, shape: tuple[int, ...], checkpoint: Callable[[], None]
     ) -> DecodedUpload | None:
-        """A frame alone, of a shape known, decoded at half its size; ``sent`` stays black.
+        """A frame alone, of a known shape, at half its size; None if all has to be decoded.
 
-        None if all of it has to be decoded.
+        ``sent`` stays black.
         """
         rectification = Rectification.of_frame(shape, upload.optics)
         if not isinstance(upload.frame, bytes) or rectification.changes:
@@ -212,10 +206,7 @@ class UploadDecoder:
     workers: Workers | None = None
 
     def decode(self, upload: Upload, job: Job, *, blank: bool = False) -> DecodedUpload:
-        """Decode all images of an upload and check that they fit together.
-
-        With ``blank``, the frame is black, because its pixels are not needed.
-        """
+        """Decode all images of an upload; if it is ``blank``, the frame's pixels are not needed."""
         images = (
             ("frame", upload.frame, blank_image if blank else decode_image),
             ("mask", upload.mask, decode_mask),

@@ -39,7 +39,6 @@ class AccessLogMiddleware:
         self._on_refused = on_refused
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -101,7 +100,6 @@ class JsonFormatter(logging.Formatter):
     """Formats a log record as one line of JSON, with the id of its request."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Write one record."""
         line: dict[str, Any] = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),

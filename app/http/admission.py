@@ -29,8 +29,8 @@ STALLED_S, UNREAD_S = 1.0, 10.0
 class UploadLimits:
     """Limits of request bodies of one kind.
 
-    ``max_held_bytes`` is of all of them together that are received or worked on at the same time,
-    and of the replies to them that clients have not read.
+    ``max_held_bytes`` is of all together that are received or worked on, and of replies not yet
+    read.
     """
 
     max_bytes: int
@@ -111,7 +111,6 @@ class AdmissionMiddleware:
         self._uploads: set[_Upload] = set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request."""
         if scope["type"] != "http" or scope["method"] not in ("POST", "PUT", "PATCH"):
             await self.app(scope, receive, send)
             return
@@ -183,7 +182,7 @@ def is_foreign(headers: Headers, allowed: Collection[str]) -> bool:
     """Whether a browser sends a request for a page of an origin that is not allowed to.
 
     Browsers let every page send a form to every address, even to one that only this machine can
-    reach [1]_. They compare the origins themselves over HTTPS, and say so in ``Sec-Fetch-Site``;
+    reach [1]_. Over HTTPS they compare the origins themselves, and say so in ``Sec-Fetch-Site``;
     otherwise the host is compared. Other clients send no ``Origin``.
 
     References

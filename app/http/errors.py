@@ -30,8 +30,8 @@ _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
 class ProblemError(Exception):
     """An error response, raised where the error is found.
 
-    The detail is one sentence for the client; ``field`` is the parameter or form field at fault.
-    The reason is one word for programs, by default the status in words.
+    The detail is one sentence for the client; ``field`` is the parameter or form field at fault;
+    the reason is one word for programs, by default the status in words.
     """
 
     def __init__(
@@ -54,28 +54,23 @@ class ProblemError(Exception):
 
 
 def overloaded(detail: str, reason: str, retry_after_s: int | None = 1) -> ProblemError:
-    """Make a 503, with ``Retry-After`` if a retry makes sense."""
     headers = {} if retry_after_s is None else {"Retry-After": str(retry_after_s)}
     return ProblemError(503, detail, headers=headers, reason=reason)
 
 
 def invalid(field: str, sentence: str) -> ProblemError:
-    """Make the 422 for a parameter or form field."""
     return ProblemError(422, f"{field}: {sentence}", field=field)
 
 
 def conflict(error: Exception, reason: str, field: str | None = None) -> ProblemError:
-    """Make the 409 for what does not go with the state of a camera."""
     return ProblemError(409, str(error), reason=reason, field=field)
 
 
 def busy(error: BusyError) -> ProblemError:
-    """Make the 503 for work that the service has no room for."""
     return overloaded(str(error), error.reason, error.retry_after_s)
 
 
 def problem_body(error: ProblemError) -> bytes:
-    """Write an error as JSON."""
     given = {"type": "about:blank", "title": HTTPStatus(error.status).phrase, **vars(error)}
     del given["headers"]
     return Problem.model_validate(given).model_dump_json(exclude_none=True).encode()
@@ -91,14 +86,11 @@ class ProblemResponse(Response):
         self._reason = error.reason
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it."""
         request_state(scope).rejected_reason = self._reason
         await super().__call__(scope, receive, send)
 
 
 def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
-    """Answer all errors of an application, its own and the framework's, as problems."""
-
     def answer(kind: type[Exception], to_problem: Callable[[Any], ProblemError]) -> None:
         @app.exception_handler(kind)
         async def _(request: Request, error: Exception) -> Response:

@@ -58,7 +58,6 @@ def identity_of(scope: Scope) -> Identity:
 
 
 def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
-    """Find out the identity of a request."""
     headers = Headers(scope=scope)
     scheme, _, token = headers.get("authorization", "").partition(" ")
     given = [headers.get("x-api-key", ""), token if scheme.lower() == "bearer" else ""]
@@ -69,7 +68,7 @@ def identify(scope: Scope, api_keys: Sequence[SecretStr]) -> Identity:
 
 
 def position_of_key(api_keys: Sequence[SecretStr], given: Iterable[str | None]) -> int | None:
-    """Return the position of the first configured key among those given, None if there is none.
+    """The position of the first configured key among those given, None if there is none.
 
     All pairs are compared, each in constant time, so that the duration reveals nothing.
     """
@@ -93,7 +92,6 @@ def _camera_stream(scope: Scope, key: int | None) -> CameraStream | None:
 
 
 def unauthorised(*, has_key: bool) -> ProblemError:
-    """Make the 401 for a wrong or missing API key."""
     return ProblemError(
         401,
         "expected an API key of this service, got another one"

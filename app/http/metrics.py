@@ -36,7 +36,6 @@ class CameraCollector(Collector):
         self._traffic = traffic
 
     def collect(self) -> Iterator[Metric]:
-        """Yield each metric with a sample for each camera."""
         labels = ("caller", "camera")
         age = GaugeMetricFamily(
             "pose_camera_frame_age_seconds",
@@ -58,10 +57,7 @@ class CameraCollector(Collector):
 
 
 class Metrics:
-    """The metrics of an application, in a registry of its own.
-
-    Frames are abandoned after ``deadline_s``, the last bound of the durations.
-    """
+    """The metrics of an application; ``deadline_s`` is the longest duration."""
 
     def __init__(self, deadline_s: float = 10.0) -> None:
         self.registry = CollectorRegistry()
@@ -116,7 +112,6 @@ class Metrics:
         # fmt: on
 
     def observe_build(self, version: str, settings: Settings) -> None:
-        """Report the build that serves, and its settings."""
         self._build.labels(
             version=version,
             revision=settings.revision,
@@ -126,7 +121,6 @@ class Metrics:
         ).set(1)
 
     def observe_cameras(self, traffic: Callable[[], Iterable[CameraTraffic]]) -> None:
-        """Report the traffic of cameras, computed at each scrape."""
         self.registry.register(CameraCollector(traffic))
 
     def observe_request(self, route: str, status: int, seconds: float, rejected: str) -> None:
@@ -140,7 +134,6 @@ class Metrics:
             self._rejected.labels(rejected).inc()
 
     def observe_index(self, name: str, version: str) -> None:
-        """Report the loaded index, in place of the one before."""
         self._index.clear()
         self._index.labels(name, version).set(1)
 
@@ -159,7 +152,6 @@ class Metrics:
                 self._confidence.observe(person.hypotheses[0].confidence)
 
     def observe_session(self, reason: EndReason | None) -> None:
-        """Count a camera session that has begun, or ended for a reason."""
         (self._sessions_ended.labels(reason) if reason else self._sessions_started).inc()
 
     def observe_events(self, events: Iterable[Event]) -> None:
@@ -169,5 +161,4 @@ class Metrics:
                 self.events.labels(event.event).inc()
 
     def text(self) -> bytes:
-        """Write all metrics in Prometheus' text format."""
         return generate_latest(self.registry)

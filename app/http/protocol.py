@@ -34,10 +34,10 @@ _REASONS = {status.value: status.phrase.encode() for status in HTTPStatus}
 class HttpProtocol(asyncio.Protocol):
     """A connection: its requests one after the other, each parsed apart from all others.
 
-    A connection is closed if the head of a request is late or too large, or so are the headers
-    after a body, or a body comes in tiny chunks, since all other clients wait while they are
-    parsed; and if the client does not read a reply. What comes before the reply to an earlier
-    request is neither parsed nor, beyond a segment, read.
+    It is closed if the head of a request is late or too large, or so are the headers after a body,
+    or a body comes in tiny chunks, since all other clients wait while they are parsed; and if the
+    client does not read a reply. What comes before the reply to an earlier request is neither
+    parsed nor, beyond a segment, read.
     """
 
     head_timeout_s = 10.0
@@ -64,13 +64,11 @@ class HttpProtocol(asyncio.Protocol):
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Wait for the first request."""
         self.transport = transport
         self.server.connections.add(self)  # type: ignore[arg-type]
         self._start_timer(self.head_timeout_s, self._close)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Tell the current request that its client is gone."""
         self.server.connections.discard(self)
         self._stop_timer()
         self._writable.set()
@@ -90,11 +88,9 @@ class HttpProtocol(asyncio.Protocol):
         return self._exchange.is_received
 
     def pause_writing(self) -> None:
-        """Note that the client reads more slowly than it is written to."""
         self._writable.clear()
 
     def resume_writing(self) -> None:
-        """Note that the client has read on."""
         self._writable.set()
 
     def shutdown(self) -> None:
@@ -244,7 +240,6 @@ class _Exchange:
                 return b""
 
     def lose_client(self) -> None:
-        """Note that the client has gone."""
         self._is_lost = True
         if self.is_waited_for:
             request_state(self.scope).rejected_reason = "client_gone"

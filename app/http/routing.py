@@ -52,7 +52,6 @@ class RouteTable:
         self._routes = [_known(route) for route in routes if hasattr(route, "path_regex")]
 
     def find(self, path: str) -> KnownRoute | None:
-        """Return the route that matches a path, None if there is none."""
         return next((route for route in self._routes if route.pattern.match(path)), None)
 
     def without_slash(self, path: str) -> str:
@@ -62,7 +61,6 @@ class RouteTable:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """All methods of all routes, in alphabetical order."""
         return tuple(sorted({method for route in self._routes for method in route.methods}))
 
     def suggestion(self, path: str) -> str:

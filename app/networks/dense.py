@@ -53,7 +53,6 @@ class DenseNetwork:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[np.generic]], name: str) -> DenseNetwork:
-        """The network with a given name among stored arrays."""
         layers = sum(key.startswith(f"{name}.weights.") for key in arrays)
 
         def array(part: str) -> NDArray[np.float32]:

@@ -129,11 +129,9 @@ class _CameraQuery(_Query):
 
     @property
     def optics(self) -> Optics:
-        """The optics of the camera."""
         return Optics(self.fov_deg, self.pixel_aspect, self.roll_deg)
 
     def of(self, upload: Upload) -> Upload:
-        """Return the upload with the optics of the query."""
         return replace(upload, optics=self.optics)
 
 
@@ -174,7 +172,6 @@ class PoseQuery(_CameraQuery):
 
     @property
     def form(self) -> ReplyForm:
-        """The form of the reply."""
         chosen = KEYPOINT_SETS[self.keypoints]
         return ReplyForm(chosen, self.silhouettes, self.joints, self.observed)
 
@@ -241,7 +238,6 @@ class SequenceQuery(_CameraQuery):
 
     @property
     def form(self) -> ReplyForm:
-        """The form of the reply."""
         return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
 
 

@@ -38,7 +38,6 @@ def has_type(request: Request, start: str) -> bool:
 
 
 def unsupported_body(request: Request, expected: str = MULTIPART) -> ProblemError:
-    """Make a 415 for a body of any other type."""
     got = request.headers.get("content-type", "")[:100] or "none"
     return ProblemError(415, f"expected a body of type {expected}, got {got}")
 
@@ -61,7 +60,6 @@ class _FormParser(MultiPartParser):
         super().on_headers_finished()
 
     def on_end(self) -> None:
-        """Note the boundary that ends the form."""
         self.is_complete = True
 
 

@@ -29,8 +29,7 @@ Result = TypeVar("Result")
 class Executor:
     """Processes a bounded number of frames at a time.
 
-    A frame waits at most ``max_wait_s`` until its work begins, and takes at most ``timeout_s``,
-    waiting included.
+    A frame waits at most ``max_wait_s``, and takes at most ``timeout_s``, waiting included.
     """
 
     def __init__(self, frames: int, max_wait_s: float, timeout_s: float) -> None:
@@ -125,7 +124,6 @@ class Executor:
         return self._helpers.submit(function)
 
     def shut_down(self) -> None:
-        """Cancel all jobs and wait for the threads to end."""
         self.queue.close()
         for job in tuple(self._jobs):
             job.cancel()

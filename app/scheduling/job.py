@@ -50,10 +50,7 @@ def serial_map(function: Callable[[Item], Result], items: Iterable[Item]) -> lis
 
 
 class Job:
-    """The work on one frame, for which ``timeout_s`` are left.
-
-    ``parallel_map`` shares the parts of the frame among threads.
-    """
+    """The work on one frame, with ``timeout_s`` left; ``parallel_map`` shares its parts."""
 
     def __init__(self, timeout_s: float = math.inf, parallel_map: ParallelMap = serial_map) -> None:
         self.stage_ms = dict.fromkeys(STAGES, 0.0)
@@ -75,14 +72,10 @@ class Job:
             raise DeadlineError("the frame took longer than the service allows")
 
     def cancel(self) -> None:
-        """Make the next :meth:`checkpoint` raise."""
         self._cancelled.set()
 
     def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-        """Call a function with each part of the frame, in parallel, after a checkpoint for each.
-
-        Results come in the order of the items.
-        """
+        """Call a function with each part, in parallel, after a checkpoint; results are in order."""
 
         def checked(item: Item) -> Result:
             self.checkpoint()

@@ -19,9 +19,9 @@ ROOT = Path("/")  # Folder of `proc` and `sys`.
 
 
 def available_cores() -> int:
-    """Return the number of cores that affinity and the quotas of control groups [1]_ allow.
+    """The number of cores that affinity and the quotas of control groups [1]_ allow.
 
-    It is at least 1; a fraction of a core counts as one.
+    At least 1; a fraction of a core counts as one.
 
     References
     ----------

@@ -130,9 +130,8 @@ class FairQueue:
     ) -> Ticket:
         """Add a frame; raise :class:`OverloadedError` if it would wait for too long.
 
-        Callers share the threads equally. Frames of one kind take about the same time. A waiting
-        frame of the same live camera is superseded. With ``unbounded_wait``, the frame is admitted
-        however long it has to wait.
+        Frames of one kind take about the same time. A waiting frame of the same live camera is
+        superseded. With ``unbounded_wait``, the frame is admitted however long it has to wait.
         """
         if (older := self._waiting_of(camera)) is not None:
             number = older.number
@@ -156,7 +155,7 @@ class FairQueue:
     def release(self, ticket: Ticket, *, worked: bool = False) -> None:
         """Remove a frame, if it has not been removed before.
 
-        ``worked`` says whether the work was completed, so that its duration is typical of its kind.
+        ``worked`` is whether the work was completed, so that its duration is typical of its kind.
         """
         if ticket in self._working:
             self._working.remove(ticket)
@@ -169,14 +168,12 @@ class FairQueue:
         self._advance()
 
     def close(self) -> None:
-        """Drop all waiting frames and begin no others."""
         self._closed = True
         for ticket in self._waiting:
             ticket.begun.set_result(ShutdownError)
         self._waiting.clear()
 
     def _advance(self) -> None:
-        """Begin waiting frames while threads are free."""
         while self.working < self.threads and not self._closed:
             busy = {ticket.camera for ticket in self._working} - {None}
             for finish_s, ticket in self._ordered(self._waiting):

@@ -1,8 +1,8 @@
 """What a tracked person does: a linear model on features of the motion of the last seconds.
 
-Features describe how a skeleton moves. Lengths are in legs, and joints are described from the
-person's point of view: outward (towards their own side), up and forward of the pelvis. Of the two
-limbs of a pair, the larger and the smaller value are used, rather than the left and the right one.
+Lengths are in legs, and joints are described from the person's point of view: outward (towards
+their own side), up and forward of the pelvis. Of the two limbs of a pair, the larger and the
+smaller value are used, rather than the left and the right one.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
 from app.estimation.results import Person, ProjectedHypothesis
+from app.networks.probabilities import softmax
 from app.networks.shipped import arrays_of
 from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.odds import softmax
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
 
@@ -60,7 +60,7 @@ class PoseSample:
     """A pose at a moment, in seconds.
 
     Points ``(24, 3)`` are in camera axes, metres, about the pelvis, which is at ``pelvis_px`` in
-    the frame. The scale applies at the person's distance. The elevation is the camera's, above the
+    the frame. The scale applies at the person's distance; the elevation is the camera's, above the
     person.
     """
 
@@ -72,7 +72,6 @@ class PoseSample:
 
     @classmethod
     def of(cls, timestamp: float, pose: SmoothedPose, elevation_deg: float) -> PoseSample:
-        """Sample a smoothed pose."""
         # The scale is a ratio of sizes rather than the least squares of
         # index.skeleton.pixels_per_metre, since a smoothed skeleton may be turned away from the
         # points in the picture.
@@ -117,7 +116,6 @@ class ActionModel:
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> ActionModel:
-        """The model of stored arrays."""
         return cls(
             tuple(arrays["actions"].tolist()),
             arrays["weights"],
@@ -134,7 +132,7 @@ class ActionModel:
         """Probabilities ``(..., A)`` of actions.
 
         They follow from :func:`window_features` ``(..., D)`` and :meth:`votes` ``(..., A)``. The
-        less clearly the picture shows the motion of limbs, 0 to 1, the more weight everyday actions
+        less clearly the picture shows the limbs' motion, 0 to 1, the more weight everyday actions
         get.
         """
         everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
@@ -156,7 +154,6 @@ class ActionModel:
 
 @cache
 def shipped_model() -> ActionModel:
-    """The model that ships with the package."""
     return ActionModel.of(arrays_of("actions"))
 
 
@@ -190,11 +187,10 @@ class ActionRecogniser:
         person: Person,
         posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
-        """Add a frame of the track.
+        """Add a frame of the track; None until a second has been seen, and if no action is likely.
 
         The track's posture is given if it is more reliable than the motion, as with landmarks. The
-        actions of hypotheses then do not vote, and there may be no hypotheses. The result is None
-        until the person has been seen for a second, and if no action is likely.
+        actions of hypotheses then do not vote, and there may be no hypotheses.
         """
         timestamp = sample.timestamp
         self._add_sample(sample, () if posture else person.voters)
@@ -205,7 +201,6 @@ class ActionRecogniser:
         return self._last_result
 
     def _add_sample(self, sample: PoseSample, hypotheses: Sequence[ProjectedHypothesis]) -> None:
-        """Extend the window by a frame, or begin a new one after a gap."""
         timestamp = sample.timestamp
         elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
         if elapsed > _MAX_GAP_S:
@@ -271,8 +266,8 @@ def action_features(
 ) -> NDArray[np.float64]:
     """Features ``(D,)`` of a motion of ``RATE_HZ`` poses a second.
 
-    Skeletons ``(T, P, 3)`` and the direction away from the ground, ``(3,)``, are in camera axes and
-    metres; the first 19 points are the joints. The path ``(T, 2)`` of the pelvis, metres, is from
+    Skeletons ``(T, P, 3)``, whose first 19 points are the joints, and the direction away from the
+    ground, ``(3,)``, are in camera axes and metres; the path ``(T, 2)`` is from
     :func:`app.tracking.motion.ground_path`.
     """
     joints, left = _in_body_axes(points_3d, up)
@@ -299,7 +294,7 @@ def _in_body_axes(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Joints ``(T, 19, 3)`` to the left, up and forward of the pelvis, in legs.
 
-    Also returns the person's left direction, ``(T, 3)``.
+    Also the person's left direction, ``(T, 3)``.
     """
     joints = points_3d[:, :JOINTS] - points_3d[:, :1]
     at = {name: joints[:, row] for row, name in enumerate(JOINT_NAMES)}

@@ -15,7 +15,7 @@ from app.estimation.results import Person
 from app.networks.dense import shipped_network
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.people import LANDMARK_NAMES, Landmarks
-from index.facing import azimuth_deg
+from index.posture import azimuth_deg
 from index.skeleton import (
     FACE_NAMES,
     LIMB_HIPS,
@@ -146,8 +146,8 @@ def elevation_deg(metres: NDArray[np.float64]) -> float:
 def elevation_features(limbs: NDArray[np.float64]) -> NDArray[np.float64]:
     """Inputs ``(N, 30)`` of the network of elevations, which mirroring does not change.
 
-    They are the middle of each pair of ``LIMBS`` ``(N, 12, 3)``, in axes of the line of sight, in
-    height and depth, and the distances between both sides.
+    The middle of each pair of ``LIMBS`` ``(N, 12, 3)``, in axes of the line of sight, in height and
+    depth, and the distances between both sides.
     """
     limbs = limbs - limbs[:, LIMB_HIPS].mean(axis=1, keepdims=True)
     limbs = limbs / np.linalg.norm(limbs, axis=2).mean(axis=1)[:, None, None]

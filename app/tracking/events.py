@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.falls import FallWatch, Observation
-from app.tracking.filtering import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.results import Event, EventName
 from index.posture import POSTURES
 
@@ -45,9 +45,9 @@ class EventDetector:
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
-        ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame. They are weighted
-        by ``reliability``, 0 to 1, the probability that the body is read correctly. ``rests`` says
-        whether the person is in a zone for resting, where lying is not an event.
+        ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame, weighted by
+        ``reliability``, 0 to 1, that the body is read correctly. ``rests`` is whether the person is
+        in a zone for resting, where lying is not an event.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         step = reliability * elapsed
@@ -55,7 +55,7 @@ class EventDetector:
         events = []
         for name, state in self._states.items():
             share = 0.0 if rests and name == "lying" else float(shares[POSTURES.index(name)])
-            if change := state.update(share, step):
+            if change := state.change(share, step):
                 events.append(Event(name, change, timestamp, state.level))
         if self._falls.update(timestamp, observation.row(), rests=rests):
             events.append(Event("fell", "instant", timestamp, self._falls.probability))
@@ -69,11 +69,9 @@ class EventDetector:
 
     @property
     def has_fallen(self) -> bool:
-        """Whether the person fell and no frame showed them getting up."""
         return self._falls.report.fallen
 
     def unconfirmed(self) -> tuple[Event, ...]:
-        """Events that had begun to show at the last frame but were not certain."""
         levels: dict[EventName, float] = {
             name: state.level for name, state in self._states.items() if state.is_unconfirmed
         }

@@ -2,10 +2,10 @@
 
 A few small networks see boxes, postures and gaps to the border, resampled to a fixed grid, so that
 they work at any frame rate. Those of the recent past see three seconds in detail; those with a long
-memory see ten, ever coarser, and recognise a slow fall while the person lies.
-They were trained on simulated tracks and rendered films by ``python -m scripts train-falls``.
-Lengths are in sizes of the body in the picture, and left and right are not distinguished, so that
-neither the frame's size nor mirroring it changes anything.
+memory see ten, ever coarser, and recognise a slow fall while the person lies. They were trained on
+simulated tracks and rendered films by ``python -m scripts train-falls``. Lengths are in sizes of
+the body in the picture, and left and right are not distinguished, so that neither the frame's size
+nor mirroring it changes anything.
 """
 
 from __future__ import annotations
@@ -22,11 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.probabilities import MAX_STEP_S, LowPass, sigmoid
 from app.networks.shipped import arrays_of
-from app.tracking.filtering import MAX_STEP_S, LowPass
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES
-from app.vision.odds import sigmoid
 from app.vision.people import landmark_rows
 from app.vision.truncation import gaps_to_border
 
@@ -57,21 +56,10 @@ _FAR = 3.0
 class Observation:
     """What a frame shows of a tracked person.
 
-    Parameters
-    ----------
-    box : Box
-        Pixels of the frame.
-    frame_shape : tuple of int
-        Rows and columns.
-    posture : (6,) float64 array
-        Probabilities of :data:`app.vision.judgement.FRAME_POSTURES`; less than 1 in sum where
-        the window may show no person.
-    right : float
-        Probability that the landmarks are right.
-    hips_y : float or None
-        Pixels downwards; None where they are not seen.
-    covered : float
-        Share of the box that boxes of other people cover.
+    The box is in pixels of the frame of ``frame_shape``; ``posture`` ``(6,)`` are probabilities of
+    :data:`app.vision.judgement.FRAME_POSTURES`, less than 1 in sum where the window may show no
+    person. ``right`` is the probability that the landmarks are, ``hips_y`` pixels downwards, None
+    where they are not seen, ``covered`` the share of the box that boxes of other people cover.
     """
 
     box: Box
@@ -115,12 +103,11 @@ def window_features(
     """Inputs ``(D,)`` of a network at a time, from rows ``(K, 17)``, oldest first.
 
     The grid is one of :data:`MEMORIES`. The camera is watched from ``watched_from`` on, at the
-    latest from the first row.
-
-    At each point of the grid: the top, the bottom and the hips relative to those of the last row,
-    the horizontal distance from its middle, width and height, six postures, right, covered, the
-    gaps to the nearer side, the upper and the lower border, whether the person was still seen at
-    that time, whether the track had begun, and whether the camera was watched.
+    latest from the first row. At each point of the grid: the top, the bottom and the hips relative
+    to those of the last row, the horizontal distance from its middle, width and height, six
+    postures, right, covered, the gaps to the nearer side, the upper and the lower border, whether
+    the person was still seen at that time, whether the track had begun, and whether the camera was
+    watched.
     """
     grid = now - grid_s
     right = np.clip(np.searchsorted(times, grid), 1, max(len(times) - 1, 1))
@@ -221,7 +208,6 @@ def _three_points(values: NDArray[np.float32], stride: int) -> NDArray[np.float3
 
 @cache
 def shipped_models() -> tuple[FallModel, ...]:
-    """The models that ship with the package, one for each of :data:`MEMORIES`."""
     arrays = arrays_of("falls")
     return tuple(FallModel.of(arrays, memory) for memory in MEMORIES)
 
@@ -251,14 +237,7 @@ _RECENT_ODDS = 1.5
 
 
 class FallReport:
-    """Says when a fall is to be reported: once, until the person is up again.
-
-    Parameters
-    ----------
-    reported_from, lost_from : float
-        Filtered probability from which a fall is reported; and the unfiltered one of a person who
-        is lost.
-    """
+    """Says when a fall is to be reported: once, until the person is up again."""
 
     def __init__(
         self, reported_from: float = REPORTED_FROM, lost_from: float = REPORTED_LOST_FROM
@@ -295,11 +274,8 @@ class FallReport:
 class FallWatch:
     """Watches one track for falls.
 
-    Parameters
-    ----------
-    watched_from : float
-        Time from which the camera is watched, seconds: whoever appears later was not always there.
-        By default the camera is watched from the first frame of the track.
+    Whoever appears later than ``watched_from``, the time from which the camera is watched, was not
+    always there; by default, it is watched from the first frame of the track.
     """
 
     def __init__(self, watched_from: float = math.inf) -> None:

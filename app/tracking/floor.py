@@ -77,7 +77,6 @@ class Rest:
         self._frames, self._height, self._at = 0.0, Height(0.0, 0.0), -math.inf
 
     def update(self, timestamp: float, person: Person, who: int, floor: Floor) -> None:
-        """Add a frame of the person."""
         self._frames *= math.exp((self._at - timestamp) / _KEPT_S)
         self._at = timestamp
         posture, trust, landmarks = person.frame_posture, person.trust, person.landmarks
@@ -129,7 +128,6 @@ class Floor:
         self._calibration: Calibration | None = None
 
     def watch(self, camera: PinholeCamera) -> None:
-        """Set the camera of the frames that follow; another one has another floor."""
         before, self._camera = self._camera, camera
         if before is not None and not (
             np.array_equal(before.focal, camera.focal) and before.given == camera.given

@@ -16,19 +16,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import cv2
-import numpy as np
-from numpy.typing import NDArray
-
 from app.estimation.finder import PeopleFinder, Target
 from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
+from app.scene import Scene
 from app.scheduling.job import Job
 from app.tracking.track import Track
 from app.vision.blazepose import LANDMARK_PX
-from app.vision.geometry import Box, PersonWindow, shrink_quickly
-from app.vision.halved import HALF, Frame, seen_at
-from app.vision.images import reduced_grey
+from app.vision.geometry import PersonWindow
+from app.vision.halved import HALF, Frame
 from app.vision.judgement import JudgedReading
 from app.vision.people import Detection
 from app.vision.same_person import is_expected
@@ -53,10 +49,6 @@ EMPTY_SEARCH_EVERY_S = 12.0
 """Time between two searches while nothing changes and no person is tracked. Such a search
 finds only people who were missed on entering."""
 
-# A person who enters is soon better visible: for this time after an empty, still scene has changed,
-# every frame is searched.
-_ENTERS_WITHIN_S = 1.0
-
 # Trust below which other windows are read, if the reading before was likelier right than not.
 _LOST_TRUST = 0.25
 
@@ -75,12 +67,7 @@ class TrackedPeopleDetector:
         self._searched_at = self._read_at = -math.inf
         self._left_out = 0  # People whom the last search left out.
         self._looked_at: dict[Track, float] = {}  # When MoveNet looked at each tracked person.
-        self._scene = _Scene()
-
-    @property
-    def grey(self) -> NDArray[np.uint8] | None:
-        """The newest frame as a small grey picture ``(h, w)``; None before the first."""
-        return self._scene.now
+        self.scene = Scene()
 
     def find(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
@@ -133,7 +120,7 @@ class TrackedPeopleDetector:
         if timestamp - self._searched_at >= EMPTY_SEARCH_EVERY_S:
             return False
         smallest = self._finder.smallest_px(shape)
-        return self._scene.is_still_in_file(data, shape, smallest, timestamp)
+        return self.scene.is_still_in_file(data, shape, smallest, timestamp)
 
     def _targets(
         self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
@@ -145,7 +132,8 @@ class TrackedPeopleDetector:
         """
         frame, state = upload.frame, _Followed.at(timestamp, tracks, self._read_at)
         smallest = self._finder.smallest_px(frame.shape)
-        still = self._scene.is_still(frame, smallest, timestamp, tracks) and state.all_in_windows
+        places = {one: (one.box_filter.predict(timestamp), one.box_filter.seen) for one in tracks}
+        still = self.scene.is_still(frame, smallest, timestamp, places) and state.all_in_windows
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, state, is_still=still)
         if timestamp - self._searched_at < interval and (still or state.may_suffice):
@@ -164,8 +152,8 @@ class TrackedPeopleDetector:
         if is_still:
             return STILL_SEARCH_EVERY_S if state.tracks else EMPTY_SEARCH_EVERY_S
         if not state.tracks:
-            return 0.0 if self._scene.has_just_changed(timestamp) else SEARCH_EVERY_S
-        changed = self._scene.has_changed_since(self._searched_at)
+            return 0.0 if self.scene.has_just_changed(timestamp) else SEARCH_EVERY_S
+        changed = self.scene.has_changed_since(self._searched_at)
         return UNCHANGED_SEARCH_EVERY_S if state.all_in_windows and not changed else SEARCH_EVERY_S
 
     def _searched(
@@ -186,7 +174,7 @@ class TrackedPeopleDetector:
         lost_at = [track.box_filter.seen for track in lost if track not in places]
         people, beside = self._finder.search(frame, job, lost_at, known)
         self._searched_at, self._left_out = timestamp, job.left_out
-        self._scene.restart()
+        self.scene.restart()
         targets, unseen = [], dict(expected)
         for one in people:
             near = max(unseen, key=lambda track: places[track].iou(one.box), default=None)
@@ -280,103 +268,3 @@ def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
     It cannot if the person has left the frame, or was hardly visible behind others.
     """
     return not (track.beside or may_have_left(track.box_filter.seen, frame_shape))
-
-
-# Height of the smallest wanted person in the small pictures that are compared, and the longest side
-# of these pictures. Cells are means of many pixels, so a sensor's noise of 4 levels becomes less
-# than one.
-_PERSON_CELLS, _MAX_CELLS = 8, 640
-# A change is a connected area of at least this height, which includes a cell added on every side:
-# more than half of the smallest person, and more than the digits of a camera's clock.
-_MIN_CHANGE_CELLS = 7
-# Difference of means over 3x3 cells, grey levels.
-_MIN_DIFFERENCE = 5
-# A scene is still after this time: a person may be missed in the frame in which they move.
-_STILL_AFTER_S = 2.0
-# Margin around tracked people, as a share of the larger side of their boxes.
-_TRACK_MARGIN = 0.1
-
-
-def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, tuple[int, int]]:
-    """Scale, and height and width, at which frames of a shape are compared."""
-    scale = min(1.0, _PERSON_CELLS / smallest_px, _MAX_CELLS / max(shape))
-    height, width = (max(1, round(side * scale)) for side in shape[:2])
-    return scale, (height, width)
-
-
-class _Scene:
-    """What a fixed camera shows around tracked people, compared with the last search's frame.
-
-    Changes since then add up, so slow changes are noticed, too.
-    """
-
-    def __init__(self) -> None:
-        self.now: NDArray[np.uint8] | None = None
-        self._searched: NDArray[np.uint8] | None = None
-        self._boxes: dict[Track, Box] = {}  # Where tracked people were at the last search.
-        self._changed_at = self._still_at = -math.inf
-
-    def is_still(
-        self, frame: Frame, smallest_px: float, time: float, tracks: Sequence[Track]
-    ) -> bool:
-        """Whether nothing has changed for a while; the first frame counts as a change.
-
-        The smallest person wanted is ``smallest_px`` high in the frame.
-        """
-        scale, (height, width) = _small(frame.shape, smallest_px)
-        small = shrink_quickly(seen_at(frame, scale)[0], width, height)
-        self.now = now = cv2.cvtColor(small, cv2.COLOR_BGR2GRAY).astype(np.uint8, copy=False)
-        places = [track.box_filter.predict(time) for track in tracks]
-        # Tracks that have ended are dropped.
-        self._boxes = {one: self._boxes.get(one, one.box_filter.seen) for one in tracks}
-        places += self._boxes.values()
-        if self._searched is None or self._differs(self._searched, now, scale, places):
-            self._changed_at = time
-        return self._is_still_at(time)
-
-    def is_still_in_file(
-        self, data: bytes, shape: tuple[int, ...], smallest_px: float, time: float
-    ) -> bool:
-        """The same without tracks, from a JPEG file; False also if the frame has to be decoded."""
-        scale, (height, width) = _small(shape, smallest_px)
-        if self._searched is None or time - self._changed_at < _STILL_AFTER_S:
-            return False
-        grey = reduced_grey(data, shape, (height, width))
-        if grey is None:
-            return False
-        now = shrink_quickly(grey, width, height)
-        return not self._differs(self._searched, now, scale, []) and self._is_still_at(time)
-
-    def has_changed_since(self, time: float) -> bool:
-        """Whether a later frame differed from the one that was searched."""
-        return self._changed_at > time
-
-    def has_just_changed(self, time: float) -> bool:
-        """Whether the scene was still a moment ago."""
-        return time - self._still_at <= _ENTERS_WITHIN_S
-
-    def _is_still_at(self, time: float) -> bool:
-        still = time - self._changed_at >= _STILL_AFTER_S
-        if still:
-            self._still_at = time
-        return still
-
-    def restart(self) -> None:
-        """Compare later frames with the present one, since it is searched."""
-        self._searched, self._boxes = self.now, {}
-
-    @staticmethod
-    def _differs(
-        before: NDArray[np.uint8], now: NDArray[np.uint8], scale: float, places: Sequence[Box]
-    ) -> bool:
-        """Whether two small grey pictures ``(h, w)`` differ outside these boxes of the frame."""
-        differences = cv2.subtract(now, before, dtype=cv2.CV_16S)
-        sums = cv2.boxFilter(differences, cv2.CV_32S, (3, 3), normalize=False)
-        changed = (np.abs(sums) >= 9 * _MIN_DIFFERENCE).astype(np.uint8)
-        for box in (place.scaled(scale) for place in places):
-            left, top, right, bottom = box.pixels()
-            margin = 1 + round(_TRACK_MARGIN * max(box.width, box.height))
-            rows = slice(max(0, top - margin), max(0, bottom + margin))
-            changed[rows, max(0, left - margin) : max(0, right + margin)] = 0
-        _, _, areas, _ = cv2.connectedComponentsWithStats(changed)
-        return bool((areas[1:, cv2.CC_STAT_HEIGHT] >= _MIN_CHANGE_CELLS).any())

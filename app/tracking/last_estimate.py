@@ -21,12 +21,10 @@ class LastEstimate:
 
     @property
     def outline_bytes(self) -> int:
-        """Memory of the person's outline, which is kept from frame to frame."""
         silhouette = self._person and self._person.silhouette
         return silhouette.crop.nbytes if silhouette else 0
 
     def update(self, person: Person, timestamp: float) -> None:
-        """Keep the estimate of a frame, unless it is the last one again."""
         if person is not self._person:
             self._person, self._estimated_at = person, timestamp
 

@@ -2,7 +2,7 @@
 
 The velocity follows from the box and the camera's elevation. A Bayes filter on the circle of
 azimuths follows the heading: single frames confuse front and back, or left and right, above all for
-people who are small or seen from the side. But people turn gradually, and mostly walk in the
+people who are small or seen from the side, but people turn gradually, and mostly walk in the
 direction they face.
 """
 
@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import softmax
 from app.tracking.body import SeenBody
 from app.vision.geometry import Box
-from app.vision.odds import softmax
 from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, PostureName
 from index.skeleton import wrap_degrees
 
@@ -51,10 +51,7 @@ _RELIABLE_ELEVATION_DEG = 20.0
 
 
 class GroundMotion:
-    """Measures a person's velocity from the centre of their box.
-
-    The camera's elevation, which each frame estimates, is averaged over all frames.
-    """
+    """Measures a person's velocity from the centre of their box."""
 
     def __init__(self) -> None:
         self._recent: deque[tuple[float, float, float, float]] = deque()
@@ -69,10 +66,9 @@ class GroundMotion:
     def update(
         self, timestamp: float, box: Box, px_per_m: float, elevation_deg: float
     ) -> GroundVelocity:
-        """Add a frame and return the velocity over the last second.
+        """Add a frame, with its scale and elevation; return the velocity over the last second.
 
-        The box surrounds the whole person. The scale and the camera's elevation are from this
-        frame.
+        The box surrounds the whole person.
         """
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
@@ -139,8 +135,8 @@ _FRONT = np.abs(_CENTRES_DEG) < 90
 class Heading:
     """The direction a person faces, as the azimuth of the camera about them.
 
-    ``shares`` ``(BINS,)`` are probabilities of azimuths. ``front`` says whether the camera sees the
-    front; it changes only on strong evidence.
+    ``shares`` ``(BINS,)`` are probabilities of azimuths; ``front`` is whether the camera sees the
+    front, and changes only on strong evidence.
     """
 
     shares: NDArray[np.float64]
@@ -175,10 +171,9 @@ class HeadingFilter:
         clarity: float,
         velocity: GroundVelocity,
     ) -> Heading:
-        """Add a frame.
+        """Add a frame, with azimuths and weights, of sum 1, of hypotheses ``(N,)``.
 
-        Its hypotheses have azimuths and weights ``(N,)``, of sum 1. ``clarity`` says how clearly
-        the picture shows the azimuth, 0 to 1.
+        ``clarity`` says how clearly the picture shows the azimuth, 0 to 1.
         """
         shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:
@@ -236,7 +231,7 @@ REFERENCE_HZ = 10.0
 class Motion:
     """How a person moves at a frame, and which way they face.
 
-    ``elevation_deg``, of the camera above the person, is averaged over the track. ``walks`` says
+    ``elevation_deg``, of the camera above the person, is averaged over the track; ``walks`` is
     whether the motion shows the heading.
     """
 
@@ -254,7 +249,6 @@ class MotionFilter:
         self._last_at = -math.inf
 
     def update(self, timestamp: float, box: Box, body: SeenBody) -> Motion:
-        """Add a frame; the box surrounds the whole person."""
         velocity = self._ground.update(timestamp, box, body.px_per_m, body.elevation_deg)
         independence = min(1.0, REFERENCE_HZ * (timestamp - self._last_at))
         self._last_at = timestamp
@@ -267,7 +261,6 @@ class MotionFilter:
 
 
 def _walking_azimuth_deg(velocity: GroundVelocity) -> float:
-    """Azimuth of the camera about a person walking forwards."""
     return float(np.rad2deg(np.arctan2(-velocity.right, -velocity.away)))
 
 

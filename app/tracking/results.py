@@ -22,8 +22,7 @@ class SmoothedPose:
 
     ``points_3d`` ``(24, 3)`` are metres in camera axes about the pelvis, ``points_2d`` ``(24, 2)``
     pixels of the frame. The confidence is the probability that the mean joint error in the
-    normalised frame is below 5 px; ``entry`` is that of the hypothesis of this frame that the pose
-    follows.
+    normalised frame is below 5 px; ``entry`` is that of the hypothesis that the pose follows.
     """
 
     points_3d: NDArray[np.float64]
@@ -44,13 +43,12 @@ class RecognisedAction:
 class Event:
     """An event of a tracked person or of the camera at a frame.
 
-    An event without ``track_id``, ``obstructed``, concerns the camera. The state is ``begin`` or
-    ``end`` for ``lying``, ``arms_raised`` and ``obstructed``, and ``instant`` for all others. It is
-    ``unconfirmed`` if the event had only begun to show at the last frame. The zones are those that
-    the person is in; for ``zone_entered`` and ``zone_left``, the zone that the person entered or
-    left. ``dwell_s``, only with ``zone_left``, is how long the person was in it. ``lost`` says
-    whether a fallen person was no longer visible. ``on_floor``, with ``lying`` and ``fell`` alone,
-    is that of :class:`TrackedPerson`.
+    One without ``track_id``, ``obstructed``, concerns the camera. The state is ``begin`` or ``end``
+    for ``lying``, ``arms_raised`` and ``obstructed``, ``instant`` for all others, and
+    ``unconfirmed`` if it had only begun to show at the last frame. The zones are those that the
+    person is in, or the one that they entered or left; ``dwell_s``, only with ``zone_left``, is how
+    long they were in it. ``lost`` is whether a fallen person was no longer visible; ``on_floor``,
+    with ``lying`` and ``fell`` alone, that of :class:`TrackedPerson`.
     """
 
     event: EventName
@@ -70,11 +68,10 @@ class TrackedPerson(Person):
     """A person of a frame and the track they belong to; facing and posture are the track's.
 
     ``age_frames`` includes this one. There is no pose if the track has had no silhouette for a
-    second, and no action before enough frames or if no action is likely. ``caller_track_id`` is the
+    second, and no action before enough frames or if none is likely. ``caller_track_id`` is the
     caller's own identity for the person's box, if given. ``still_s`` is the time for which the
-    person has looked the same, once it is so long that the person may be a statue or a poster.
-    ``on_floor`` is the probability that a lying person is on the floor; None while that is
-    not known.
+    person has looked the same, once they may be a statue or a poster; ``on_floor`` the probability
+    that a lying person is on the floor, None while that is not known.
     """
 
     track_id: int
@@ -91,9 +88,9 @@ class TrackedPerson(Person):
 class TrackedFrame(Estimate):
     """A frame of a camera session, its people from left to right, in pixels as sent.
 
-    The frame is black if half its size, or a part of its file, was enough. ``frame_index`` counts
-    from 0. ``session`` is ``new`` if the frame began the session. ``reset`` is a sentence that says
-    why all tracks were dropped before the frame.
+    It is black if half its size, or a part of its file, was enough. ``frame_index`` counts from 0;
+    ``session`` is ``new`` if the frame began it; ``reset`` is a sentence that says why all tracks
+    were dropped before the frame.
     """
 
     persons: tuple[TrackedPerson, ...]

@@ -1,10 +1,10 @@
 """Smooth poses: the hypotheses of a track's frames are the states of a hidden Markov model.
 
-The cost of a move between poses grows with the distance that joints move. The cost of a pose grows
-with its distance from the person's heading over time. The forward-backward algorithm weights the
-states of the last frames using all frames so far. Poses near the most probable state are averaged
-with these weights, and a line is fitted to the averages of the last frames. Small people seen from
-the side keep the side that they show.
+The cost of a move between poses grows with the distance that joints move, that of a pose with its
+distance from the person's heading over time. The forward-backward algorithm weights the states of
+the last frames. Poses near the most probable state are averaged with these weights, and a line is
+fitted to the averages of the last frames. Small people seen from the side keep the side that they
+show.
 """
 
 from __future__ import annotations
@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person, ProjectedHypothesis
+from app.networks.probabilities import log_odds, probability_of, softmax
 from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
-from app.vision.odds import log_odds, probability_of, softmax
 from app.vision.people import Silhouette
-from index.facing import azimuth_deg
-from index.posture import UPRIGHT, vote_posture
+from index.posture import UPRIGHT, azimuth_deg, vote_posture
 from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths
 
 _SHOULDERS, _HIPS = side_rows("shoulder"), side_rows("hip")
@@ -244,7 +243,7 @@ class PoseSmoother:
     def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame, from the last frames: the backward step.
 
-        Also returns the log odds of the hypotheses near it, averaged over these frames.
+        Also the log odds of the hypotheses near it, averaged over these frames.
         """
         log_backward = np.zeros(len(self._states[-1].log_forward))
         averages, lengths, odds = [], [], []

@@ -16,6 +16,8 @@ from app.estimation.posture import (
     PostureFilter,
 )
 from app.estimation.results import Facing, FacingSource, Person
+from app.networks.probabilities import log_odds, probability_of
+from app.scene import Patch
 from app.tracking.actions import ActionRecogniser, PoseSample
 from app.tracking.body import SeenBody
 from app.tracking.events import EventDetector
@@ -26,10 +28,8 @@ from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
-from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.halved import Frame
-from app.vision.odds import log_odds, probability_of
 from app.vision.same_person import KnownPerson, same_probabilities
 from index.posture import (
     POSTURES,
@@ -109,7 +109,6 @@ class Track:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the track counts as a person."""
         if self._shown_odds is not None:
             return self._probability(self._shown_odds) >= _MIN_PROBABILITY
         return self.score >= _CONFIRMING_SCORE or self.sightings >= _CONFIRMING_SIGHTINGS
@@ -153,7 +152,6 @@ class Track:
         return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
 
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
-        """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
         self._zone_watch.locate(zones, self.box_filter.seen, None)
         return self._moment("entered", timestamp)
@@ -251,7 +249,6 @@ class Track:
         return shares
 
     def unconfirmed(self) -> list[Event]:
-        """Events that had begun to show at the last frame but were not certain."""
         return [*map(self._annotated, self._event_detector.unconfirmed())]
 
     def lose(
@@ -289,7 +286,6 @@ class Track:
         return self._annotated(Event(name, "instant", timestamp, self.score))
 
     def _annotated(self, event: Event) -> Event:
-        """An event of this track with its identities and the person's zones."""
         return replace(
             event,
             track_id=self.track_id,

@@ -85,7 +85,6 @@ def place(box: Box, posture: PostureName | None) -> NDArray[np.float64]:
 
 
 def is_rest(zones: Iterable[Zone]) -> bool:
-    """Whether any of the zones is for resting."""
     return any(zone.kind == "rest" for zone in zones)
 
 
@@ -94,7 +93,7 @@ class _Stay:
     """The stay of a person who is in a zone or about to enter it; all times in seconds.
 
     The person has entered the zone after being inside for long enough. ``outside_since`` is when
-    the person was first seen outside again; None while inside.
+    they were first seen outside again; None while inside.
     """
 
     since: float
@@ -113,8 +112,7 @@ class ZoneWatch:
     """Watches which zones a person is in.
 
     A person enters a zone by staying inside its polygon for a while, and leaves it by staying
-    outside by a margin for a while. In between, nothing changes. Its events have no ``track_id``,
-    which the track sets.
+    outside by a margin for a while. Its events have no ``track_id``, which the track sets.
     """
 
     def __init__(self) -> None:
@@ -134,10 +132,7 @@ class ZoneWatch:
         box: Box,
         posture: PostureName | None,
     ) -> list[Event]:
-        """Add the person's place; return the zones entered and left.
-
-        A zone that has been removed from the camera is left as well.
-        """
+        """Add the person's place; return the zones entered and left, such as removed ones."""
         self.locate(zones, box, posture)
         events = []
         removed = self._stays.keys() - {zone.name for zone in zones}

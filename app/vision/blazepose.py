@@ -19,10 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.networks.tflite import TfliteNetwork
 from app.vision.geometry import PersonWindow, sample_window, transform_points
 from app.vision.halved import Frame
-from app.vision.odds import sigmoid
 from app.vision.people import LANDMARK_NAMES, Landmarks, ObservedKeypoints
 
 LANDMARKS = len(LANDMARK_NAMES)
@@ -107,8 +107,7 @@ class NetworkPass:
 def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArray[np.float32]:
     """Interpolate feature maps ``(N, S, S, C)`` linearly at the landmarks: ``(N, 33, C)``.
 
-    Points are those of :class:`NetworkPass`. Beyond the map's outermost cells, their values are
-    repeated.
+    Points are those of :class:`NetworkPass`. Beyond the outermost cells, their values are repeated.
     """
     count, size = maps.shape[:2]
     places = points[:, :LANDMARKS, :2].astype(np.float64) * (size / LANDMARK_PX) - 0.5
@@ -123,26 +122,18 @@ def sample_map(maps: NDArray[np.float32], points: NDArray[np.floating]) -> NDArr
     return np.asarray((1 - down) * top + down * bottom, np.float32)
 
 
-class LandmarkNetwork:
-    """BlazePose's landmark network; thread-safe.
+class LandmarkNetwork(TfliteNetwork):
+    """BlazePose's landmark network."""
 
-    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
-    """
-
-    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
-        self._network = TfliteNetwork(
-            path,
-            [(LANDMARK_PX, LANDMARK_PX, 3)],
-            [(_POINT_VALUES * _POINTS,), (1,), (3 * _POINTS,), *MAP_SHAPES, *_MASK_SHAPES],
-            threads=threads,
-            copies=copies,
-        )
+    def __init__(self, path: Path, **share: int) -> None:
+        outputs = [(_POINT_VALUES * _POINTS,), (1,), (3 * _POINTS,), *MAP_SHAPES, *_MASK_SHAPES]
+        super().__init__(path, [(LANDMARK_PX, LANDMARK_PX, 3)], outputs, **share)
 
     def read(self, frame: Frame, window: PersonWindow) -> PoseReading:
         """Read the person in a window of a frame ``(H, W, 3)``, BGR; without the mask."""
         window = window.on_grid()
         image = cv2.cvtColor(sample_window(frame, window, LANDMARK_PX), cv2.COLOR_BGR2RGB)
-        outputs = self._network.run(image * np.float32(1 / 255))
+        outputs = self.run(image * np.float32(1 / 255))
         values, presence, world, middle, last, *mask_inputs = outputs
         raw_points, raw_world = values.reshape(_POINTS, _POINT_VALUES), world.reshape(_POINTS, 3)
         points = raw_points.astype(np.float64)
@@ -166,17 +157,12 @@ class LandmarkNetwork:
 _Reading = TypeVar("_Reading", bound=PoseReading)
 
 
-class MaskNetwork:
-    """The part of BlazePose's landmark network that draws the mask; thread-safe.
+class MaskNetwork(TfliteNetwork):
+    """The part of BlazePose's landmark network that draws the mask."""
 
-    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
-    """
-
-    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
-        mask = (LANDMARK_PX, LANDMARK_PX, 1)
-        self._network = TfliteNetwork(path, _MASK_SHAPES, [mask], threads=threads, copies=copies)
+    def __init__(self, path: Path, **share: int) -> None:
+        super().__init__(path, _MASK_SHAPES, [(LANDMARK_PX, LANDMARK_PX, 1)], **share)
 
     def read(self, reading: _Reading) -> _Reading:
-        """The same reading with its mask."""
-        (log_odds,) = self._network.run(*reading.mask_inputs)
+        (log_odds,) = self.run(*reading.mask_inputs)
         return replace(reading, probability=sigmoid(log_odds[..., 0]), mask_inputs=())

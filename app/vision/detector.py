@@ -2,28 +2,34 @@
 
 The detectors are in :mod:`app.vision.detectors`. HOG scores the boxes of the first one again. For a
 doubtful person, an object detector compares the person with animals and furniture.
+
+References
+----------
+.. [1] M. Sandler et al., "MobileNetV2: Inverted Residuals and Linear Bottlenecks", CVPR 2018.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import logit, sigmoid
 from app.networks.shipped import constants_of
+from app.networks.tflite import TfliteNetwork
 from app.vision.blazepose import LandmarkNetwork
 from app.vision.detectors import Detector
 from app.vision.detectors.hog import PERSON_PX, hog_margin
-from app.vision.detectors.movenet import MIN_MOVENET_SCORE
 from app.vision.detectors.tiles import Picture
-from app.vision.geometry import Box, PersonWindow
+from app.vision.geometry import Box, PersonWindow, sample_window
 from app.vision.halved import Frame, seen_at
-from app.vision.odds import logit, sigmoid
+from app.vision.movenet import MIN_MOVENET_SCORE
 from app.vision.people import Detection
 from app.vision.person_reader import MIN_PRESENCE, trunk_roll_deg
-from app.vision.rescoring import ObjectNetwork
 from app.vision.same_person import is_expected, may_be_reached, shows, tell_apart
 
 MIN_DETECTION_SCORE = 0.3
@@ -43,20 +49,49 @@ _OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
 _MIN_HIDDEN_PROBABILITY = 0.15
 
 
+_CLASSES = (
+    "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
+    "monitor", "box", "mug", "coffee cup", "stationary bicycle", "table", "bottle", "high heels",
+    "vehicle", "footwear", "dog", "book", "camera", "car",
+)  # fmt: skip
+_PERSON = _CLASSES.index("person")
+# Clothes and other things that people wear do not count as other objects.
+_WORN = ("boot", "high heels", "footwear")
+_OTHERS = [row for row, name in enumerate(_CLASSES) if name not in ("background", "person", *_WORN)]
+_OBJECTS_PX = 192
+# Grids of anchors: cells a side, anchors of a cell, and the cells in the middle of the window.
+_GRIDS = ((12, 3, slice(4, 8)), (6, 6, slice(2, 4)))
+
+
+class ObjectNetwork(TfliteNetwork):
+    """MediaPipe's object detector, a MobileNet [1]_ trained on Open Images, on given windows."""
+
+    def __init__(self, path: Path, **share: int) -> None:
+        outputs = [(cells, cells, anchors * len(_CLASSES)) for cells, anchors, _ in _GRIDS]
+        super().__init__(path, [(_OBJECTS_PX, _OBJECTS_PX, 3)], outputs, **share)
+
+    def log_odds(self, frame: Frame, window: PersonWindow) -> tuple[float, float]:
+        """Log odds of a person, and of the likeliest other object, in the middle of a window.
+
+        Anchors fit objects about half as wide as the window; the largest log odds count.
+        """
+        seen = cv2.cvtColor(sample_window(frame, window.on_grid(), _OBJECTS_PX), cv2.COLOR_BGR2RGB)
+        maps = self.run(seen / np.float32(127.5) - 1)
+        anchors = [
+            grid[cells, cells].reshape(-1, len(_CLASSES))
+            for grid, (_, _, cells) in zip(maps, _GRIDS, strict=True)
+        ]
+        best = np.concatenate(anchors).max(axis=0)
+        return float(best[_PERSON]), float(best[_OTHERS].max())
+
+
 class NetworkDetector:
     """Finds people with several detectors; thread-safe.
 
-    HOG may raise a score but never lowers it, since it recognises only standing people.
-
-    Parameters
-    ----------
-    detectors : sequence of Detector
-        The first finds people of any size. The others add scores to these people, and find people
-        that the first misses. Each has a weight, see :func:`detection_odds`.
-    landmarks : LandmarkNetwork
-        Confirms people that the first detector misses.
-    objects : ObjectNetwork
-        Compares doubtful people with other objects.
+    The first detector finds people of any size; the others add scores to these people, and find
+    people that it misses, whom the landmark network confirms. HOG may raise a score but never
+    lowers it, since it recognises only standing people. Doubtful people are compared with other
+    objects.
     """
 
     def __init__(
@@ -76,7 +111,7 @@ class NetworkDetector:
         known_boxes: Sequence[Box] = (),
         min_person_px: float | None = None,
     ) -> tuple[list[Detection], list[Detection]]:
-        """Find the people of a frame ``(H, W, 3)``, BGR, and possible people beside them.
+        """Find the people of a frame, and possible people beside them, best first.
 
         ``expected_boxes`` surround people who were visible a moment ago and have not left the
         frame; ``known_boxes`` surround tracked people, who are expected as well and need no
@@ -138,15 +173,10 @@ class NetworkDetector:
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
         """Find all candidates of all detectors, however low their score.
 
-        Returns
-        -------
-        people : list of Detection
-            One for each person, with the first detector's score and the windows of the others.
-        scores : (N, 3) float64 array
-            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
-            finds no person.
-        others : list of Detection
-            Other people in the boxes of these, with their probabilities.
+        Returns one detection for each person, with the first detector's score and the windows of
+        the others; scores ``(N, 3)``: MoveNet's score, HOG's margin, and the score of BlazePose's
+        detector, 0 where a detector finds no person; and other people in these boxes, with their
+        probabilities.
         """
         picture = Picture.of(frame, min_person_px)
         columns = 2 + len(self._others)
@@ -171,7 +201,6 @@ class NetworkDetector:
         column: int,
         detector: Detector,
     ) -> tuple[list[Detection], NDArray[np.float64]]:
-        """Add the results of another detector: windows and scores of these people, new people."""
         people, known, rows = list(people), range(len(people)), list(scores)
         for seen in detector.detect(picture):
             same = [row for row in known if shows(seen, people[row])]
@@ -230,7 +259,6 @@ def detection_odds(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def object_odds(person: float, other: float) -> float:
-    """Log odds that a doubtful detection gains or loses by the log odds of objects."""
     fitted, excess = constants_of("objects"), max(0.0, other - person)
     return float(fitted["person"] * person + fitted["excess"] * excess + fitted["offset"])
 

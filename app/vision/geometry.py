@@ -19,8 +19,7 @@ Boxes = NDArray[np.float64]
 class Box:
     """An upright rectangle in pixels.
 
-    The origin is the centre of the top-left pixel, so the box of that pixel alone is
-    ``Box(-0.5, -0.5, 1, 1)``.
+    The origin is the centre of the top-left pixel, whose own box is ``Box(-0.5, -0.5, 1, 1)``.
     """
 
     # Left and top edge.
@@ -37,22 +36,18 @@ class Box:
 
     @classmethod
     def from_edges(cls, left: float, top: float, right: float, bottom: float) -> Box:
-        """Make the box between four edges."""
         return cls(left, top, right - left, bottom - top)
 
     @property
     def right(self) -> float:
-        """Right edge."""
         return self.x + self.width
 
     @property
     def bottom(self) -> float:
-        """Bottom edge."""
         return self.y + self.height
 
     @property
     def area(self) -> float:
-        """Area in square pixels."""
         return self.width * self.height
 
     @property
@@ -67,7 +62,6 @@ class Box:
         return max(0.0, width) * max(0.0, height)
 
     def joined(self, other: Box) -> Box:
-        """The smallest box that holds both."""
         return Box.from_edges(
             min(self.x, other.x), min(self.y, other.y),
             max(self.right, other.right), max(self.bottom, other.bottom),
@@ -97,10 +91,7 @@ class Box:
         return Box(x, y, self.width * factor, self.height * factor)
 
     def pixels(self) -> tuple[int, int, int, int]:
-        """The pixels nearest the edges: first column and row, then one past the last.
-
-        There is at least one pixel each way. They may lie outside the frame.
-        """
+        """First column and row, then one past the last, nearest the edges; one at least."""
         left, top = round(self.x + 0.5), round(self.y + 0.5)
         right, bottom = round(self.right + 0.5), round(self.bottom + 0.5)
         return left, top, max(left + 1, right), max(top + 1, bottom)
@@ -156,7 +147,6 @@ class PersonWindow:
 
     @classmethod
     def about_box(cls, box: Box, roll_deg: float = 0.0) -> PersonWindow:
-        """Make the window about a person's box."""
         side = WINDOW_SCALE * max(box.width, box.height)
         return cls(box.x + box.width / 2, box.y + box.height / 2, side, roll_deg)
 
@@ -198,7 +188,6 @@ class PersonWindow:
         return transform_points(self.to_frame(2), corners)
 
     def scaled(self, factor: float) -> PersonWindow:
-        """The same window in a frame resized by ``factor``."""
         x, y = (factor * at + (factor - 1) / 2 for at in (self.x, self.y))
         return PersonWindow(x, y, self.side * factor, self.roll_deg)
 
@@ -264,10 +253,7 @@ PixelRect = tuple[int, int, int, int]
 
 
 def crop(image: NDArray[np.uint8], rect: PixelRect) -> NDArray[np.uint8]:
-    """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero.
-
-    The result is a view where the rectangle lies inside the image.
-    """
+    """Crop an image ``(H, W)`` or ``(H, W, C)``; pixels beyond it are zero. A view if none are."""
     left, top, width, height = rect
     rows, columns = image.shape[:2]
     inside = image[
@@ -287,9 +273,9 @@ def crop_and_resize(
 ) -> NDArray[np.uint8]:
     """Crop an image as :func:`crop` does and resize the crop to ``width`` x ``height``.
 
-    A rectangle with a person's proportions about a wide, flat box may be many times as large as the
-    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized.
-    The result is then accurate to a pixel, and needs no more memory than the image.
+    A rectangle with a person's proportions about a flat box may be many times as large as the
+    image. If it has more than ``max_crop_px`` pixels, only the part inside the image is resized, to
+    a pixel.
     """
     left, top, columns, rows = rect
     if columns * rows <= max_crop_px:

@@ -50,5 +50,4 @@ def seen_at(frame: Frame, scale: float) -> tuple[NDArray[np.uint8], float]:
 
 
 def whole(frame: Frame) -> NDArray[np.uint8]:
-    """All pixels ``(H, W, 3)`` of a frame."""
     return seen_at(frame, 1.0)[0]

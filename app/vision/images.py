@@ -83,12 +83,8 @@ def decode_image(
     of it is missing. A large image may have to wait for another one; meanwhile, ``checkpoint`` is
     called, which raises an error if the result is not wanted.
 
-    Raises
-    ------
-    ImageTooLargeError
-        If the header says that the image has more than ``max_pixels`` pixels.
-    ImageError
-        If the bytes are not an image of :data:`FORMATS`, or a broken one.
+    Raises ImageTooLargeError if the header says that it has more than ``max_pixels``, ImageError if
+    the bytes are not an image of :data:`FORMATS`, or a broken one.
     """
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):
@@ -240,8 +236,7 @@ def blank_image(
 ) -> Photograph:
     """Make a black photograph of the size of an encoded one, for answers that need no more.
 
-    For a JPEG, only the header is read, so the rest may be missing or broken. Raises like
-    :func:`decode_image`.
+    Of a JPEG, only the header is read: the rest may be missing. Raises like :func:`decode_image`.
     """
     data, header = read_header(data, max_pixels)
     if header.format == "JPEG":
@@ -301,10 +296,7 @@ _MIN_USED_RANGE = 64
 
 
 def _used_range(pixels: NDArray[np.uint16]) -> tuple[int, int]:
-    """The used range of 16 bits, its end excluded; all if it reaches the upper half or is tiny.
-
-    Outliers are ignored.
-    """
+    """The used range of 16 bits without outliers, end excluded; all if it is tiny or high."""
     outliers = _OUTLIER_PERCENTILE
     sample = _sample(pixels)
     low, high = np.percentile(sample, [outliers, 100 - outliers]).astype(int).tolist()
@@ -352,14 +344,9 @@ def read_stored(data: bytes, mode: str | None = None) -> NDArray[np.uint8]:
 
 
 def read_header(data: bytes, max_pixels: int) -> tuple[bytes, Image.Image]:
-    """Read format and size, as stored, without decoding the image.
+    """Read format and size, as stored, without decoding; raises as :func:`decode_image`.
 
     Of a JPEG or PNG, the first value is what decoding needs.
-
-    Raises
-    ------
-    ImageTooLargeError, ImageError
-        As for :func:`decode_image`.
     """
     if not data:
         raise ImageError("expected an image, got no bytes")

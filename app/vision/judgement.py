@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
+from app.networks.probabilities import log_odds, logit, probability_of, sigmoid, softmax
 from app.networks.shipped import NetworkError, arrays_of, read_arrays
 from app.vision.blazepose import LANDMARK_PX, LANDMARKS, PoseReading
 from app.vision.depth import HIPS, Body3D, DepthModel, body_of
-from app.vision.odds import log_odds, logit, probability_of, sigmoid, softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, landmark_rows
 
@@ -35,12 +35,10 @@ class Trust:
 
     @property
     def is_person(self) -> bool:
-        """Whether the window likelier shows a person than not."""
         return self.person >= 0.5
 
     @property
     def is_right(self) -> bool:
-        """Whether the landmarks are likelier right than not."""
         return self.right >= 0.5
 
 
@@ -58,7 +56,6 @@ class FramePosture:
             raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
 
     def of(self, name: str) -> float:
-        """Probability of one posture."""
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 
 
@@ -88,7 +85,6 @@ class PhotographModels:
     posture: PostureModel
 
     def body(self, reading: PoseReading, camera: PinholeCamera) -> Body3D:
-        """A reading in three dimensions."""
         return body_of(reading, camera, self.depth.correct(reading, camera))
 
     def judge(self, reading: PoseReading, camera: PinholeCamera) -> JudgedReading:
@@ -124,13 +120,7 @@ class PhotographModels:
 
 
 def load_photograph_models(path: Path | None = None) -> PhotographModels:
-    """Load the models that ship, or those in another file.
-
-    Raises
-    ------
-    NetworkError
-        If the file is missing or holds something else.
-    """
+    """The models that ship, or those of a file; NetworkError if it is missing or another."""
     arrays = arrays_of("photograph_models") if path is None else read_arrays(path)
     try:
         depth, trust, posture = (DenseNetwork.of(arrays, n) for n in ("depth", "trust", "posture"))
@@ -171,7 +161,6 @@ class TrustModel:
         return np.column_stack([given[:, 0], given[:, 0] * given[:, 1]])
 
     def estimate(self, features: NDArray[np.float64]) -> Trust:
-        """Trust in one reading with features ``(F,)``."""
         person, right = self.probabilities(features[None])[0]
         odds = logit(person, 1e-6) - log_odds(_PEOPLE_SHARE)
         return Trust(probability_of(float(odds)), float(right))
@@ -186,15 +175,7 @@ def trust_features(
 ) -> NDArray[np.float64]:
     """Inputs of the model: ``(N, F)``.
 
-    Parameters
-    ----------
-    points : (N, 39, 5) array
-    world : (N, 39, 3) array
-    presence : (N,) array
-    last : (N, 2, 2, 288) array
-        The fields of :class:`app.vision.blazepose.NetworkPass`.
-    sigmas : (N, 33) float64 array
-        Sigmas of the corrected depths.
+    From :class:`app.vision.blazepose.NetworkPass` of N windows, and sigmas ``(N, 33)`` of depths.
     """
     points, metres = points.astype(np.float64), world[:, :LANDMARKS].astype(np.float64)
     places = points[:, :LANDMARKS, :2] / LANDMARK_PX - 0.5
@@ -291,17 +272,8 @@ def posture_features(
 ) -> NDArray[np.float64]:
     """The shape of a body ``(F,)``; it does not distinguish left from right.
 
-    Parameters
-    ----------
-    points : (33, 3) float64 array
-        Landmarks, metres, camera axes: y down.
-    visibility : (33,) float64 array
-    roll_deg : float
-        Of the window.
-    presence : float
-        As the network gives it.
-    box_aspect : float
-        Width over height of the box about the landmarks.
+    From landmarks ``(33, 3)``, metres in camera axes, their visibility ``(33,)``, the roll of the
+    window, the network's presence, and width over height of the box about the landmarks.
     """
 
     def middle(rows: list[int]) -> NDArray[np.float64]:

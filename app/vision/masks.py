@@ -28,17 +28,10 @@ Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class LabelImage:
-    """Where people are: 0 is background, k is person k.
+    """Where people are: labels ``(H, W)``, 0 is background, k is person k.
 
-    Parameters
-    ----------
-    labels : (H, W) array of uint8 or uint16
-    present : list of int
-        The labels it holds, ascending, without 0.
-    left, top : int
-        First column and row of the part.
-    part : (h, w) array
-        The smallest part that holds all labels, since most of a mask is background.
+    ``present`` are the labels it holds, ascending, without 0; ``part`` is the smallest part that
+    holds them, since most of a mask is background, from column ``left`` and row ``top`` on.
     """
 
     labels: Labels
@@ -49,7 +42,6 @@ class LabelImage:
 
     @classmethod
     def of(cls, labels: Labels) -> LabelImage:
-        """Find the labels of an array ``(H, W)``."""
         if labels.ndim != 2:
             raise ValueError(f"expected labels of shape (H, W), got {labels.shape}")
         # `boundingRect` takes 8 bits only.
@@ -61,7 +53,6 @@ class LabelImage:
 
     @cached_property
     def boxes(self) -> list[Box]:
-        """The tight box of each label."""
         found = []
         for label in self.present:
             left, top, width, height = cv2.boundingRect(cv2.inRange(self.part, label, label))
@@ -69,7 +60,6 @@ class LabelImage:
         return found
 
     def merged(self) -> LabelImage:
-        """The same image with all labels merged into one person, label 1."""
         labels, part = ((image != 0).view(np.uint8) for image in (self.labels, self.part))
         return LabelImage(labels, [1] if self.present else [], self.left, self.top, part)
 
@@ -80,20 +70,16 @@ def decode_mask(
     """Decode a label image: 0 is background, k is person k.
 
     Grey images and PNG images with a palette keep their stored values, whatever their bit depth; a
-    palette gives its indices, not its colours. An image with only two values, 0 and one other,
-    marks one person (label 1). So does an image with soft edges, and a lossy image (JPEG, WebP),
-    since compression destroys labels; in these, values of at least half of the largest mark the
-    person. Three channels are accepted if they are equal. Transparent pixels are background; if all
-    others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
-    Parts smaller than a figure, such as a stray pixel, are dropped. ``checkpoint`` is that of
-    :func:`app.vision.images.decode_image`.
+    palette gives its indices. An image with only two values, 0 and one other, marks one person
+    (label 1). So does one with soft edges, and a lossy one (JPEG, WebP), since compression destroys
+    labels; in these, values of at least half of the largest mark the person. Three channels are
+    accepted if they are equal. Transparent pixels are background; if all others have one colour,
+    the alpha channel marks one person. The EXIF orientation is applied. Parts smaller than a figure
+    are dropped. ``checkpoint`` is that of :func:`app.vision.images.decode_image`.
 
-    Raises
-    ------
-    ImageTooLargeError, ImageError
-        As for :func:`app.vision.images.decode_image`, or if the image is coloured, or its values
-        are no labels of bodies: shades, more than 100 labels, scattered ones, background that is
-        not 0, or figures of a few pixels.
+    Raises as that does, or ImageError if the image is coloured, or its values are no labels of
+    bodies: shades, more than 100 labels, scattered ones, background that is not 0, or figures of a
+    few pixels.
     """
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):
@@ -320,7 +306,6 @@ def _of_figures(image: LabelImage) -> LabelImage:
 
 
 def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The parts of a mask that are a figure or belong to one; none if all are too small."""
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.view(np.uint8))
     parts = stats[1:]
     is_large = parts[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) >= _MIN_FIGURE_PX
@@ -329,27 +314,35 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return mask if keep.all() else np.append(False, keep)[labels]
 
 
-def keep_components(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Keep the largest component of a mask ``(H, W)`` and those of at least ``share`` of its area.
+MIN_FILL = 0.12
+"""Share of a box that a silhouette fills, below which nobody was cut out."""
 
-    A lamp post may separate a leg from the body, so a person may consist of several components.
+# Area of a part of a body, relative to the largest part.
+_MIN_PART = 0.1
+
+
+def cleaned(mask: NDArray[np.bool_], *, max_hole: float) -> NDArray[np.bool_]:
+    """A body's mask ``(H, W)`` without small parts, and without holes of up to a share of it.
+
+    A lamp post may separate a leg from the body. Larger holes stay: the gap between arm and trunk
+    shows the pose.
     """
+    return _fill_small_holes(_keep_components(mask), max_hole)
+
+
+def _keep_components(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if _parts_and_holes(mask)[0] < 2:
         return mask
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    keep = areas >= share * areas.max()
+    keep = areas >= _MIN_PART * areas.max()
     keep[0] = False
     keep[areas.argmax()] = True
     return keep[labels]
 
 
-def fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
-    """Fill holes of a mask ``(H, W)`` of up to ``share`` of its area.
-
-    Larger ones stay: the gap between arm and trunk shows the pose.
-    """
+def _fill_small_holes(mask: NDArray[np.bool_], share: float) -> NDArray[np.bool_]:
     if not _parts_and_holes(mask)[1]:
         return mask
     limit = share * np.count_nonzero(mask)

@@ -10,7 +10,7 @@ References
 .. [2] X. Zhou, D. Wang, P. Krähenbühl, "Objects as Points", 2019.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.tflite import TfliteNetwork
+from app.vision.detectors.tiles import Picture, Tile
 from app.vision.geometry import Box, PixelRect, crop_and_resize
 from app.vision.halved import Frame, seen_at
-from app.vision.people import COCO_NAMES, ObservedKeypoints
+from app.vision.people import COCO_NAMES, Detection, ObservedKeypoints
 
 _KEYPOINTS = len(COCO_NAMES)
 
@@ -45,23 +46,12 @@ _INPUT_MULTIPLE_PX = 32
 _CHANNELS = (1, 2, 2, 2 * _KEYPOINTS, _KEYPOINTS, 2 * _KEYPOINTS)
 
 
-class MoveNet:
-    """MoveNet; thread-safe.
+class MoveNet(TfliteNetwork):
+    """The network: the people of one image."""
 
-    Path, threads, copies and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        *,
-        threads: int = 1,
-        copies: int = 1,
-    ) -> None:
+    def __init__(self, path: Path, **share: int) -> None:
         heads = [(None, None, channels) for channels in _CHANNELS]
-        self._network = TfliteNetwork(
-            path, [(None, None, 3)], heads, threads=threads, copies=copies
-        )
+        super().__init__(path, [(None, None, 3)], heads, **share)
 
     def detect(self, image: NDArray[np.uint8]) -> list[MoveNetDetection]:
         """Find the people of an image ``(H, W, 3)``, BGR, highest centre score first.
@@ -74,7 +64,7 @@ class MoveNet:
         )
         padded: NDArray[np.float32] = np.zeros((rows, columns, 3), np.float32)
         padded[:height, :width] = cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
-        return decode_heads(self._network.run(padded))
+        return decode_heads(self.run(padded))
 
 
 _MIN_IOU = 0.2  # Overlap with the person's box from which a detection may be theirs.
@@ -87,10 +77,7 @@ class KeypointReader:
         self._network = network
 
     def read(self, frame: Frame, box: Box) -> ObservedKeypoints | None:
-        """Read the keypoints of the person in a tight box of a frame ``(H, W, 3)``, BGR.
-
-        They are in pixels of the frame; None if the network finds no person in the box.
-        """
+        """Keypoints of the person in a tight box of a frame, pixels; None if there is nobody."""
         pixels, seen = seen_at(frame, _ENOUGH_PX / max(keypoint_window(box)[0][2:]))
         keypoints = self._read(pixels, box.scaled(seen))
         return keypoints and keypoints.scaled(1 / seen)
@@ -110,6 +97,75 @@ class KeypointReader:
         # A blank wall can have a centre but no keypoints; its score is then 0.
         near = [one for one in people if one.score > 0 and box.iou(one.box) >= _MIN_IOU]
         return max(near, key=lambda p: box.iou(p.box) * p.centre_score**0.5, default=None)
+
+
+MIN_MOVENET_SCORE = 0.02
+"""Least score of MoveNet that counts."""
+
+# Longer side of a box, in the overview, from which people are taken from the overview. Smaller
+# people are taken from the tiles, which separate two people side by side.
+_LARGE_PERSON_PX = 96.0
+
+# Longer side of a small picture of the frame, a tenth of the overview's area, that is searched for
+# people who fill the frame: the network recognises them at this size, and hardly in the overview.
+_GLANCE_PX = 192.0
+# Share of the frame's longer side from which a person fills it.
+_FILLING_SHARE = 0.5
+# Score of a person from which the frame is not searched at that size.
+_SURE_SCORE = 0.3
+
+
+@dataclass(frozen=True)
+class MoveNetDetector:
+    """Detects people with keypoints, in the overview and the tiles of a picture; thread-safe.
+
+    ``small`` is another copy of the network for small pictures, since one that is given pictures of
+    other sizes in turn takes a tenth more time.
+    """
+
+    network: MoveNet
+    small: MoveNet
+
+    def detect(self, picture: Picture) -> list[Detection]:
+        """Detect people; detections in the tile that suits their size come first, by score.
+
+        A person may be detected more than once.
+        """
+        found: list[tuple[float, Detection]] = []
+        for number, tile in enumerate(picture.tiles):
+            for one in _seen_in(self.network, picture, tile):
+                is_large = _longer_side(one, picture) >= _LARGE_PERSON_PX
+                suits = len(picture.tiles) == 1 or is_large == (number == 0)
+                found.append((one.score + suits, one))
+        if all(one.score < _SURE_SCORE for _, one in found):
+            nearer = _seen_in(self.small, picture, _glance(picture))
+            found += [(one.score + 1, one) for one in _filling(nearer, picture)]
+        return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
+
+
+def _seen_in(network: MoveNet, picture: Picture, tile: Tile) -> list[Detection]:
+    """People that the network finds in a tile, in pixels of the frame."""
+    seen = []
+    for person in network.detect(picture.seen_in(tile)):
+        box = tile.to_frame(person.box, picture.frame.shape)
+        if box is not None and person.score >= MIN_MOVENET_SCORE:
+            keypoints = person.keypoints.scaled(1 / tile.factor).moved(*tile.rect[:2])
+            seen.append(Detection(box, min(1.0, person.score), keypoints))
+    return seen
+
+
+def _longer_side(one: Detection, picture: Picture) -> float:
+    return max(one.box.width, one.box.height) * picture.tiles[0].factor
+
+
+def _filling(people: Iterable[Detection], picture: Picture) -> list[Detection]:
+    large = _FILLING_SHARE * max(picture.tiles[0].size)
+    return [one for one in people if _longer_side(one, picture) >= large]
+
+
+def _glance(picture: Picture) -> Tile:
+    whole = picture.tiles[0]
+    return Tile(whole.rect, whole.factor * min(1.0, _GLANCE_PX / max(whole.size)))
 
 
 KEYPOINT_WINDOW_PX = (256, 160)
@@ -147,12 +203,9 @@ _MIN_CENTRE_SCORE = 0.03
 def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
 
-    Parameters
-    ----------
-    heads : sequence of (h, w, C) float32 arrays
-        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
-        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
-        cell (34); rows before columns, in cells.
+    The heads ``(h, w, C)``, rows before columns, in cells: centres (1 channel), sizes of boxes (2),
+    centres of boxes (2), first guesses of keypoints from a centre (34), heatmaps of keypoints (17),
+    and the position of each keypoint in its cell (34).
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))

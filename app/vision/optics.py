@@ -1,8 +1,8 @@
 """Lines of sight: from pixels to directions, and bodies placed on the lines of their landmarks.
 
-Camera axes: x right, y down, z forward. The axes of a line of sight are the camera's, turned by
-the smallest rotation that brings z onto the line. The landmark network's metres are in the axes of
-the line of sight to the window's middle, up to the window's roll.
+Camera axes: x right, y down, z forward. The axes of a line of sight are the camera's, turned by the
+smallest rotation that brings z onto the line. The landmark network's metres are in the axes of the
+line of sight to the window's middle, up to the window's roll.
 """
 
 from __future__ import annotations
@@ -67,20 +67,10 @@ class PinholeCamera:
 
     @classmethod
     def of_frame(cls, frame_shape: tuple[int, ...], fov_deg: float | None = None) -> PinholeCamera:
-        """The camera of a frame.
+        """The camera of a frame ``(H, W, ...)``, with a horizontal field of view, degrees.
 
-        Parameters
-        ----------
-        frame_shape : tuple of int
-            Height and width first.
-        fov_deg : float, optional
-            Horizontal field of view, above 0 and below 180;
-            :data:`ASSUMED_FOV_DEG` along the longer side where it is not given.
-
-        Raises
-        ------
-        ValueError
-            If the field of view is out of range.
+        By default :data:`ASSUMED_FOV_DEG` along the longer side. Raises ValueError unless it is
+        above 0 and below 180.
         """
         height, width = frame_shape[:2]
         if fov_deg is None:
@@ -112,8 +102,8 @@ class PinholeCamera:
 def to_line_of_sight(rays: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotations ``(..., 3, 3)`` from camera axes to those of lines of sight ``(..., 3)``.
 
-    They apply as ``line @ camera``; the transpose leads back. They follow from Rodrigues' formula
-    for the smallest rotation that brings z onto the ray.
+    They apply as ``line @ camera``, and follow from Rodrigues' formula for the smallest rotation
+    that brings z onto the ray.
     """
     x, y, z = np.moveaxis(rays / np.linalg.norm(rays, axis=-1, keepdims=True), -1, 0)
     rest = 1 / (1 + z)
@@ -161,26 +151,15 @@ def place_on_sight_lines(
     axes: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> PlacedBody:
-    """Place points on the lines of sight of their landmarks.
+    """Place points ``(..., P, 3)``, metres, on the lines of sight of their landmarks.
 
     The body's size determines how far away it is: the origin is moved so that the points are as
-    near to their lines as possible, across the line of sight. Then each point is put onto its line,
-    at its depth.
+    near to their lines as possible, across the line of sight. Then each is put onto its line, at
+    its depth.
 
-    Parameters
-    ----------
-    metres : (..., P, 3) float64 array
-        Points about any origin, in the axes of a line of sight; their depths are not changed.
-    rays : (..., P, 3) float64 array
-        Directions of the landmarks, camera axes.
-    axes : (..., 3, 3) float64 array
-        Camera axes to those of the line of sight.
-    weights : (P,) float64 array
-        Weight of each point; not negative, not all zero.
-
-    Returns
-    -------
-    PlacedBody
+    Points are about any origin, in the axes of a line of sight, to which ``axes`` ``(..., 3, 3)``
+    turn camera axes; rays ``(..., P, 3)`` are in camera axes; weights ``(P,)`` not negative, not
+    all zero.
     """
     lines = rays @ axes.swapaxes(-1, -2)
     lines = lines / np.maximum(lines[..., 2:], 0.05)

@@ -68,11 +68,9 @@ class ObservedKeypoints:
             )
 
     def scaled(self, factor: float) -> ObservedKeypoints:
-        """The same keypoints in an image resized by ``factor``."""
         return ObservedKeypoints(factor * self.positions + (factor - 1) / 2, self.scores)
 
     def moved(self, x: float, y: float) -> ObservedKeypoints:
-        """The same keypoints ``x`` pixels farther right and ``y`` farther down."""
         return ObservedKeypoints(self.positions + np.array([x, y]), self.scores)
 
 
@@ -158,7 +156,6 @@ class Silhouette:
 
     @property
     def area_px(self) -> int:
-        """Number of pixels on the person."""
         return int(np.count_nonzero(self.crop))
 
     @property
@@ -170,15 +167,11 @@ class Silhouette:
 
     @property
     def box(self) -> Box:
-        """The tight box around the silhouette."""
         height, width = self.crop.shape
         return Box(self.left - 0.5, self.top - 0.5, float(width), float(height))
 
     def outlines(self, method: int) -> Sequence[NDArray[np.int32]]:
-        """Outlines ``(P, 1, 2)`` of the parts, without holes, in pixels of the frame.
-
-        The method is one of OpenCV's ``CHAIN_APPROX_...``.
-        """
+        """Outlines ``(P, 1, 2)`` of the parts, frame pixels, by OpenCV's ``CHAIN_APPROX_...``."""
         outlines, _ = cv2.findContours(
             self.crop.astype(np.uint8), cv2.RETR_EXTERNAL, method, offset=(self.left, self.top)
         )
@@ -204,10 +197,7 @@ def silhouette_from_mask(
     segmenter: SegmenterName,
     truncated: bool = False,
 ) -> Silhouette | None:
-    """Crop a mask, or the part of one that starts at ``left`` and ``top``, to a silhouette.
-
-    None if no pixel is set.
-    """
+    """Crop a mask, or the part of one from ``left`` and ``top`` on; None if no pixel is set."""
     x, y, width, height = cv2.boundingRect(np.ascontiguousarray(mask).view(np.uint8))
     if width == 0:
         return None

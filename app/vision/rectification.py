@@ -55,7 +55,6 @@ class Rectification:
 
     @property
     def changes(self) -> bool:
-        """Whether the frame has to be rectified."""
         return self.sent != self.square or self.quarters != 0
 
     def rectify(self, image: Pixels, interpolation: int = cv2.INTER_LINEAR) -> Pixels:

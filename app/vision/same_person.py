@@ -12,15 +12,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.dense import shipped_network
-from app.vision.appearance import colour_distance
+from app.networks.probabilities import sigmoid
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
-from app.vision.odds import sigmoid
-from app.vision.people import Detection
+from app.vision.halved import HALF, Frame, seen_at
+from app.vision.people import Detection, Silhouette
 
 # Overlap from which two boxes of a frame show one person; two people side by side reach 0.3.
 _SAME_BOX_IOU = 0.4
@@ -52,7 +53,6 @@ def tell_apart(found: Sequence[Detection]) -> tuple[list[Detection], list[Detect
 
 
 def _same_keypoints(one: Detection, other: Detection) -> bool:
-    """Whether the keypoints of two detections show the same person."""
     first, second = one.keypoints, other.keypoints
     if one.box.intersection(other.box) == 0 or first is None or second is None:
         return False
@@ -93,7 +93,6 @@ def _same_points(
 
 
 def shows(one: Detection, person: Detection) -> bool:
-    """Whether another detector shows a person: by its window or, without one, by its box."""
     if not one.windows:
         return one.box.iou(person.box) >= _SAME_BOX_IOU
     window, box = one.windows[0], person.box
@@ -103,7 +102,6 @@ def shows(one: Detection, person: Detection) -> bool:
 
 
 def is_expected(box: Box, expected: Box) -> bool:
-    """Whether a box shows the person expected in another box."""
     return box.iou(expected) >= _EXPECTED_IOU
 
 
@@ -113,6 +111,41 @@ def may_be_reached(box: Box, expected: Box) -> bool:
     margin = max(width, height) / 2
     reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
     return box.intersection(reach) >= _MIN_SHARE_IN_REACH * box.area
+
+
+_HUES, _SATURATIONS, _GREYS = 8, 4, 8
+# If the longer side is less than twice this, every row and column is read, otherwise every second
+# one, and so on; the colours stay the same.
+_COLOURS_PX = 200
+
+
+def colours_of(frame: Frame, silhouette: Silhouette) -> NDArray[np.float32]:
+    """Colours ``(2 * 40,)`` of the upper and lower half of a person in a frame, BGR.
+
+    They are histograms of hue by saturation, and of brightness, for each half; they sum to 1.
+    """
+    pixels, scale = seen_at(frame, HALF)
+    per_pixel = round(1 / scale)
+    stride = max(1, max(silhouette.crop.shape) // (per_pixel * _COLOURS_PX))
+    mask = silhouette.crop[:: stride * per_pixel, :: stride * per_pixel].astype(np.uint8)
+    rows, columns = (
+        slice(first // per_pixel, first // per_pixel + stride * count, stride)
+        for first, count in zip((silhouette.top, silhouette.left), mask.shape, strict=True)
+    )
+    crop = cv2.cvtColor(pixels[rows, columns], cv2.COLOR_BGR2HSV)
+    parts, middle = [], len(mask) / 2
+    for half in (np.s_[: math.ceil(middle)], np.s_[math.floor(middle) :]):
+        part, inside = crop[half], mask[half]
+        colour = cv2.calcHist([part], [0, 1], inside, [_HUES, _SATURATIONS], [0, 180, 0, 256])
+        grey = cv2.calcHist([part], [2], inside, [_GREYS], [0, 256])
+        parts += [colour.ravel(), grey.ravel()]
+    histogram = np.concatenate(parts)
+    return np.asarray(histogram / max(1.0, float(histogram.sum())), np.float32)
+
+
+def colour_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> float:
+    """Hellinger distance of two histograms, 0 to 1."""
+    return math.sqrt(max(0.0, 1.0 - float(np.sqrt(first * second).sum())))
 
 
 FEATURES = 13

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box
-from app.vision.masks import LabelImage, fill_small_holes, keep_components
+from app.vision.masks import MIN_FILL, LabelImage, cleaned
 from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
 from app.vision.truncation import extended_to_border, with_truncation
 
@@ -25,8 +25,8 @@ def silhouettes_of(
 
     A pixel in several people's masks goes to the person with the highest probability. Unless the
     boxes are exact, limbs may reach beyond them. ``checkpoint`` is called before each person; it
-    raises an error if the work is no longer wanted. The result is None for a person that the
-    network did not see.
+    raises an error if the work is no longer wanted. None stands for a person that the network did
+    not see.
     """
     regions = [
         _region(box if exact else _with_landmarks(box, reading), frame_shape)
@@ -101,10 +101,7 @@ def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:
 
 _MAX_SIDE_PX = 384  # Largest size at which masks are drawn and cleaned.
 _MIN_PROBABILITY = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
-_MIN_PART = 0.1  # Area relative to the largest part; smaller parts are dropped.
-_MAX_HOLE = 0.01  # Area relative to the mask; larger holes stay.
 _MIN_COVER = 0.5  # Least share of a person's pixel that the drawn mask covers.
-_MIN_FILL = 0.12  # Filled share of the box below which the network saw no person.
 
 
 def _cut_out(
@@ -132,9 +129,9 @@ def _cut_out(
     for rival, wins_ties in rivals:
         theirs = _probability(rival, to_frame, size)
         mask &= own > theirs if wins_ties else own >= theirs
-    mask = fill_small_holes(keep_components(mask, _MIN_PART), _MAX_HOLE)
+    mask = cleaned(mask, max_hole=0.01)
     inside = cv2.resize(mask.astype(np.float32), (width, height)) >= _MIN_COVER
-    if np.count_nonzero(inside) < _MIN_FILL * inside.size:
+    if np.count_nonzero(inside) < MIN_FILL * inside.size:
         return None
     return silhouette_from_mask(inside, left=left, top=top, segmenter="network")
 

@@ -124,10 +124,7 @@ def with_truncation(
     boxes: Sequence[Box],
     frame_shape: tuple[int, ...],
 ) -> list[Silhouette | None]:
-    """Set the flag ``truncated`` of the silhouettes of one frame.
-
-    The people's boxes stand in for missing silhouettes.
-    """
+    """The silhouettes of one frame with the flag ``truncated``; boxes stand in for missing ones."""
     people = [one or box for one, box in zip(silhouettes, boxes, strict=True)]
     result: list[Silhouette | None] = []
     for row, silhouette in enumerate(silhouettes):
@@ -161,7 +158,6 @@ def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box])
 
 
 def _pixels_inside(silhouette: Silhouette, box: Box) -> float:
-    """Number of a silhouette's pixels inside a box."""
     left, top, right, bottom = box.pixels()
     rows = slice(max(0, top - silhouette.top), max(0, bottom - silhouette.top))
     columns = slice(max(0, left - silhouette.left), max(0, right - silhouette.left))

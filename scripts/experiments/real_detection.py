@@ -6,10 +6,10 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
+from app.networks.probabilities import sigmoid
 from app.vision.detector import NetworkDetector, detection_odds
 from app.vision.detectors.hog import HogDetector
 from app.vision.detectors.tiles import Picture
-from app.vision.odds import sigmoid
 from scripts.datasets import Photograph, as_array
 from scripts.metrics import detection_figures
 

@@ -30,8 +30,7 @@ from index.artefact import (
     version_of,
 )
 from index.network import halve
-from index.reranking import RankingModel
-from index.silhouette_posture import PostureNetwork
+from index.reranking import PostureNetwork, RankingModel
 from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex

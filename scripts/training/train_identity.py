@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.networks.shipped import FOLDER
 from app.tracking.track import BoxFilter
 from app.vision.geometry import Box
-from app.vision.odds import sigmoid
 from app.vision.same_person import FEATURES, KnownPerson
 from scripts.training.fit_dense import fit_dense
 from scripts.training.render.film import RATE

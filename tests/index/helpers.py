@@ -13,8 +13,7 @@ from index.confidence import RERANKING_FEATURES, Calibration, signs
 from index.landmarks import NormalisedLandmarks
 from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
 from index.posture import SILHOUETTE_GROUPS
-from index.reranking import RankingModel
-from index.silhouette_posture import INPUTS, UNITS, PostureNetwork
+from index.reranking import INPUTS, UNITS, PostureNetwork, RankingModel
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

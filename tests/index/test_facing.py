@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from index.facing import (
+from index.posture import (
     HYPOTHESES_PER_OPPOSITE_FACING,
     azimuth_deg,
     front_share,

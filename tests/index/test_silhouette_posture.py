@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from index.network import HIDDEN, QUANT_MAX
 from index.posture import POSTURES, SILHOUETTE_GROUPS, UPRIGHT, PostureName, vote_posture
-from index.reranking import RankingModel
+from index.reranking import RankingModel, posture_inputs
 from index.silhouette_matching import match_silhouette
-from index.silhouette_posture import posture_inputs
 from index.store import PoseIndex
 from tests.index.helpers import random_postures
 

@@ -15,11 +15,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.networks.tflite import TfliteNetwork
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import PersonWindow, non_max_suppression, resize
 from app.vision.halved import whole
-from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
 DETECTOR_PX = 224
@@ -33,20 +33,12 @@ _ANCHORS, _ANCHOR_VALUES = 2254, 12
 _MIN_SCORE, _NMS_IOU = 0.3, 0.3
 
 
-class BlazePoseDetector:
-    """BlazePose's person detector; thread-safe.
+class BlazePoseDetector(TfliteNetwork):
+    """BlazePose's person detector."""
 
-    Parameters and errors are those of :class:`app.networks.tflite.TfliteNetwork`.
-    """
-
-    def __init__(self, path: Path, *, threads: int = 1, copies: int = 1) -> None:
-        self._network = TfliteNetwork(
-            path,
-            [(DETECTOR_PX, DETECTOR_PX, 3)],
-            [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)],
-            threads=threads,
-            copies=copies,
-        )
+    def __init__(self, path: Path, **share: int) -> None:
+        outputs = [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)]
+        super().__init__(path, [(DETECTOR_PX, DETECTOR_PX, 3)], outputs, **share)
 
     def detect(self, picture: Picture) -> list[Detection]:
         """Detect bodies, best first: the window about each, and the box about its circle.
@@ -73,7 +65,7 @@ class BlazePoseDetector:
         padded: NDArray[np.float32] = np.full((DETECTOR_PX, DETECTOR_PX, 3), -1, np.float32)
         small = cv2.cvtColor(resize(image, columns, rows), cv2.COLOR_BGR2RGB)
         padded[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
-        values, log_odds = self._network.run(padded)
+        values, log_odds = self.run(padded)
         scores = sigmoid(log_odds[:, 0].astype(np.float64))
         used = np.flatnonzero(scores >= _MIN_SCORE)
         boxes, points = decode_anchors(values, used)

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.vision.detectors.tiles import MAX_FINE_PX, Picture
 from app.vision.geometry import Box, Boxes, iou_matrix, resize
 from app.vision.halved import whole
-from app.vision.odds import sigmoid
 from app.vision.people import Detection
 
 PERSON_PX = 96
@@ -58,15 +58,13 @@ _SLOPE, _OFFSET = 3.26, -2.57
 class HogDetector:
     """Detects upright people by HOG over many scales; thread-safe.
 
-    ``min_person_px`` is the height of the smallest person searched for, in pixels of the frame; by
-    default a share of the frame's height. Frames are not enlarged beyond a bounded area, so it may
-    not be reached.
+    ``min_person_px`` is the height of the smallest person searched for, pixels; by default a share
+    of the frame's. Frames are not enlarged beyond a bounded area, so it may not be reached.
     """
 
     min_person_px: float | None = None
 
     def detect(self, picture: Picture) -> list[Detection]:
-        """Detect people, best first; scores are probabilities."""
         boxes, margins = self.kept_windows(whole(picture.frame))
         scores = sigmoid(_SLOPE * margins + _OFFSET)
         height, width = picture.frame.shape[:2]

@@ -29,7 +29,6 @@ class Tile:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height after resizing, in pixels."""
         _, _, width, height = self.rect
         return max(1, round(width * self.factor)), max(1, round(height * self.factor))
 
@@ -63,18 +62,15 @@ class Picture:
 
     @classmethod
     def of(cls, frame: Frame, min_person_px: float | None) -> Picture:
-        """The picture of a frame in which people of a height are wanted; see :func:`tiles_of`."""
         height, width = frame.shape[:2]
         return cls(frame, tuple(tiles_of(width, height, min_person_px)))
 
     @cached_property
     def overview(self) -> NDArray[np.uint8]:
-        """The frame as seen in the overview."""
         tile = self.tiles[0]
         return shrink_quickly(seen_at(self.frame, tile.factor)[0], *tile.size)
 
     def seen_in(self, tile: Tile) -> NDArray[np.uint8]:
-        """The part of the frame in one of the tiles, at its resolution."""
         if tile is self.tiles[0]:
             return self.overview
         pixels, scale = seen_at(self.frame, tile.factor)
@@ -114,18 +110,8 @@ def smallest_person_px(frame_shape: tuple[int, ...], min_person_px: float | None
 def tiles_of(width: int, height: int, min_person_px: float | None = None) -> list[Tile]:
     """The overview of a frame, and tiles at a higher resolution if small people are wanted.
 
-    Parameters
-    ----------
-    width, height : int
-        Of the frame, in pixels.
-    min_person_px : float, optional
-        Height of the smallest person wanted, in pixels of the frame; by default a share of its
-        height, for which the overview is enough.
-
-    Returns
-    -------
-    list of Tile
-        The overview first; empty for a frame too thin to hold a person.
+    The smallest person wanted is ``min_person_px`` high, in pixels of the frame; by default a share
+    of its height, for which the overview is enough. Empty for a frame too thin to hold a person.
     """
     # Portrait frames are seen as large as landscape frames.
     longer, shorter = max(width, height), min(width, height)
@@ -174,7 +160,6 @@ def _grid(width: int, height: int, factor: float) -> list[PixelRect]:
 
 
 def _part(length: int, count: int, overlap: float) -> float:
-    """Length of each of ``count`` overlapping parts."""
     return (length + (count - 1) * overlap) / count
 
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from app.estimation.results import Person
 from app.tracking.body import SeenBody
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
-from index.facing import azimuth_deg as seen_azimuth_deg
 from index.posture import POSTURES, camera_up, classify_postures
+from index.posture import azimuth_deg as seen_azimuth_deg
 from index.skeleton import POINT_NAMES, camera_rotation
 from tests.app.tracking.people import person_of, standing_body
 

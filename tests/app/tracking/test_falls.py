@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.networks.probabilities import logit
 from app.networks.shipped import file_of
 from app.tracking.falls import (
     COLUMNS,
@@ -25,7 +26,6 @@ from app.tracking.falls import (
 )
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture, Trust
-from app.vision.odds import logit
 from app.vision.people import Landmarks
 
 TRACKS = Path(__file__).parents[2] / "data" / "fall_tracks.npz"

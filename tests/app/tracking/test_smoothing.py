@@ -11,8 +11,7 @@ from app.tracking.body import SeenBody
 from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
 from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
 from app.vision.people import Landmarks
-from index.facing import azimuth_deg
-from index.posture import POSTURES
+from index.posture import POSTURES, azimuth_deg
 from index.skeleton import POINT_NAMES, POINTS, bone_lengths, mean_joint_distance, wrap_degrees
 from tests.app.tracking.people import PX_PER_M, person_of, seen_from
 

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.scene import Patch
 from app.tracking.falls import REPORTED_LOST_FROM
 from app.tracking.track import BoxFilter, Track, associate
 from app.tracking.zones import Zone
-from app.vision.appearance import Patch
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture, Trust
 from app.vision.people import Silhouette

@@ -7,14 +7,12 @@ from numpy.typing import NDArray
 
 from app.networks.shipped import file_of
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork
-from app.vision.detector import NetworkDetector
+from app.vision.detector import NetworkDetector, ObjectNetwork
 from app.vision.detectors.blazepose import BlazePoseDetector
-from app.vision.detectors.movenet import MoveNetDetector
 from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import load_photograph_models
-from app.vision.movenet import KeypointReader, MoveNet
+from app.vision.movenet import KeypointReader, MoveNet, MoveNetDetector
 from app.vision.person_reader import PersonReader
-from app.vision.rescoring import ObjectNetwork
 
 PLACES, SIDES, ROLLS = st.floats(-300, 900), st.floats(1, 900), st.floats(-360, 360)
 PERSON_WINDOWS = st.builds(PersonWindow, PLACES, PLACES, SIDES, ROLLS)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.background import cut_out_changed, foreground, upright_regions
+from app.vision.cutting import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
 
 

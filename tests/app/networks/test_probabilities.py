@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from app.vision.odds import log_odds, probability_of, softmax
+from app.networks.probabilities import log_odds, probability_of, softmax
 
 
 @given(st.floats(1e-3, 1 - 1e-3))

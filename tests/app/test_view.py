@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.tracking.results import Event
-from app.tracking.view import View
+from app.scene import View
 from app.vision.geometry import Box
 from tests.golden.pictures import EMPTY_YARD, decode
 
@@ -69,16 +68,17 @@ def in_light(gain: float, more: float = 0.0) -> Change:
 
 def watch(
     view: View, pictures: Iterable[tuple[float, Grey]], begin: float = 0.0, fps: float = 2.0
-) -> list[Event]:
-    """Events of a view that shows pictures for some seconds each, with a sensor's noise."""
+) -> list[tuple[str, float]]:
+    """Changes of a view that shows pictures for some seconds each, with a sensor's noise."""
     rng = np.random.default_rng(1)
-    events, time = [], begin
+    changes, time = [], begin
     for seconds, picture in pictures:
         for _ in range(round(seconds * fps)):
             noisy = np.clip(picture + rng.normal(0, 1, picture.shape), 0, 255)
-            events += view.update(time, noisy.astype(np.uint8))
+            if change := view.update(time, noisy.astype(np.uint8)):
+                changes.append((change, time))
             time += 1 / fps
-    return events
+    return changes
 
 
 BLOCKED = {
@@ -92,16 +92,12 @@ BLOCKED = {
 @pytest.mark.parametrize("block", BLOCKED.values(), ids=BLOCKED)
 def test_a_blocked_view_is_reported_until_it_is_free(scene: Grey, block: Change) -> None:
     view = View()
-    events = watch(view, [(20, scene), (15, block(scene))])
-    assert view.obstructed
-    events += watch(view, [(15, scene)], begin=35)
-    assert not view.obstructed
-    assert [(one.event, one.state, one.track_id) for one in events] == [
-        ("obstructed", "begin", None), ("obstructed", "end", None),
-    ]  # fmt: skip
-    assert 23 <= events[0].timestamp <= 25
-    assert events[0].probability >= 0.5
-    assert 40 <= events[1].timestamp <= 45
+    (begun,) = watch(view, [(20, scene), (15, block(scene))])
+    assert view.blocked.holds and view.blocked.level >= 0.5
+    (ended,) = watch(view, [(15, scene)], begin=35)
+    assert not view.blocked.holds
+    assert begun[0] == "begin" and 23 <= begun[1] <= 25
+    assert ended[0] == "end" and 40 <= ended[1] <= 45
 
 
 ORDINARY = {
@@ -116,7 +112,7 @@ ORDINARY = {
 def test_other_light_is_no_blocked_view(scene: Grey, change: Change) -> None:
     view = View()
     assert watch(view, [(20, scene), (30, change(scene)), (20, scene)]) == []
-    assert view.unconfirmed() == []
+    assert not view.blocked.is_unconfirmed
 
 
 @pytest.mark.parametrize("block", BLOCKED.values(), ids=BLOCKED)
@@ -126,14 +122,13 @@ def test_of_an_even_wall_nothing_is_said(block: Change) -> None:
 
 
 def test_people_on_a_plain_floor_are_no_view() -> None:
-    view, events = View(), []
+    view = View()
     for frame in range(120):
         floor: Grey = np.full((ROWS, COLUMNS), 200, np.uint8)
         for number in range(12):
             left = (7 * number + (1 + number % 3) * frame) % COLUMNS
             floor[8 * number : 8 * number + 8, left : left + 4] = 40
-        events += view.update(frame / 4, floor)
-    assert events == []
+        assert view.update(frame / 4, floor) is None
 
 
 def test_who_stands_before_the_camera_does_not_block_it() -> None:
@@ -142,22 +137,20 @@ def test_who_stands_before_the_camera_does_not_block_it() -> None:
     near[4:, 6:110] = 60
     person = Box(6, 4, 104, ROWS - 4)
     for places, states in (([person], []), ([], ["begin"])):
-        view, events = View(), []
+        view, changes = View(), []
         for second in range(40):
             hidden = second >= 20
-            grey = near if hidden else scene
-            events += view.update(second, grey, places if hidden else ())
-        assert [one.state for one in events] == states
+            changes.append(view.update(second, near if hidden else scene, places * hidden))
+        assert [*filter(None, changes)] == states
 
 
 def test_a_single_frame_decides_nothing() -> None:
     view, room = View(), SCENES["room"]
     watch(view, [(20, room)])
-    assert view.update(29, even(90)(room)) == []
-    (event,) = view.unconfirmed()
-    assert (event.event, event.state, event.timestamp) == ("obstructed", "unconfirmed", 29)
-    assert view.update(29, even(90)(room)) == []  # It is sent again.
-    assert not view.obstructed
+    assert view.update(29, even(90)(room)) is None
+    assert view.blocked.is_unconfirmed and view.last_at == 29
+    assert view.update(29, even(90)(room)) is None  # It is sent again.
+    assert not view.blocked.holds
 
 
 def test_a_new_place_becomes_the_usual_view_but_a_cover_does_not() -> None:
@@ -167,19 +160,19 @@ def test_a_new_place_becomes_the_usual_view_but_a_cover_does_not() -> None:
     ):
         view = View()
         shown = [(1200.0, SCENES["room"]), (1800.0, blocked)]
-        assert [one.state for one in watch(view, shown, fps=0.25)] == states
+        assert [change for change, _ in watch(view, shown, fps=0.25)] == states
 
 
 def test_another_size_is_another_view() -> None:
     view, room = View(), SCENES["room"]
     watch(view, [(20, room), (10, even(90)(room))])
-    assert view.obstructed
+    assert view.blocked.holds
     smaller = [(30.0, room[::2, ::2].copy())]
-    assert [one.state for one in watch(view, smaller, begin=30)] == ["end"]
+    assert [change for change, _ in watch(view, smaller, begin=30)] == ["end"]
 
 
 def test_times_that_go_back_count_for_nothing() -> None:
     view, room = View(), SCENES["room"]
     watch(view, [(20, room)], begin=1000)
     assert watch(view, [(10, room)]) == []
-    assert [one.state for one in watch(view, [(5, even(90)(room))], begin=10)] == ["begin"]
+    assert [change for change, _ in watch(view, [(5, even(90)(room))], begin=10)] == ["begin"]
