@@ -45,8 +45,7 @@ class Neighbours(Protocol):
         Returns
         -------
         squared : (Q, k) float32 array
-            Squared Euclidean distances, ascending. A search may round queries to the steps of the
-            vectors.
+            Squared Euclidean distances, ascending.
         ids : (Q, k) int64 array
             Rows of the vectors.
 
@@ -103,16 +102,20 @@ class ExactNeighbours:
     def search(
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`.
-
-        If the vectors are bytes, queries are rounded to steps as well: some versions of FAISS
-        truncate the fraction and let numbers beyond a byte's range overflow.
-        """
-        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
-        if self._in_bytes:
-            scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS) + _ZERO
-        squared, ids = _search(self._faiss, scaled, k)
+        """Find the ``k`` vectors nearest to each query, rounded; see :meth:`Neighbours.search`."""
+        scaled = np.ascontiguousarray(self.rounded(queries) * self._factor, np.float32)
+        squared, ids = _search(self._faiss, scaled + _ZERO if self._in_bytes else scaled, k)
         return squared / self._factor**2, ids
+
+    def rounded(self, queries: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The queries ``(Q, D)`` in the steps of the vectors, if these are bytes.
+
+        Some versions of FAISS truncate the fraction and let numbers beyond a byte's range overflow.
+        """
+        if not self._in_bytes:
+            return queries
+        steps = np.rint(queries * self._factor).clip(-_MAX_STEPS, _MAX_STEPS)
+        return np.asarray(steps / self._factor)
 
 
 def _search(
