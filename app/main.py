@@ -86,6 +86,9 @@ def create_app(
         async with anyio.create_task_group() as tasks:
             if runtime.estimator is None:
                 tasks.start_soon(keep_index_loaded, runtime, read_index)
+                # Until then, connections are left to other processes, which may be ready.
+                if settings.workers > 1:
+                    await runtime.attempted.wait()
             tasks.start_soon(_tidy_up, runtime)
             yield
             tasks.cancel_scope.cancel()

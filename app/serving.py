@@ -54,7 +54,7 @@ class Runtime:
 
     ``sequences`` has the callers of the videos that are worked on. Until the index is loaded,
     ``estimator`` is None, ``not_ready_because`` tells the operator why, and ``loading`` is whether
-    loading goes on or will be tried again.
+    loading goes on or will be tried again; ``attempted`` is set once it has succeeded or failed.
     """
 
     settings: Settings
@@ -66,6 +66,7 @@ class Runtime:
     estimator: Estimator | None = None
     not_ready_because: str = "the index is being loaded"
     loading: bool = True
+    attempted: asyncio.Event = field(default_factory=asyncio.Event)
 
     def ready_estimator(self) -> Estimator:
         """Return the estimator, or raise a problem with status 503."""
@@ -210,6 +211,7 @@ async def _become_ready_or_say_why(
         runtime.not_ready_because = ""
         if estimator is not None:
             become_ready(runtime, estimator)
+    runtime.attempted.set()
 
 
 _CAMERAS = TypeAdapter(

@@ -36,8 +36,23 @@ class Neighbours(Protocol):
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Squared distances, ascending, and rows ``(Q, k)`` of the nearest of queries ``(Q, D)``.
 
-        A search may round queries to the steps of the vectors. Raises SearchUnavailableError if it
-        runs on a server that does not answer.
+        Parameters
+        ----------
+        queries : (Q, D) float32 array
+        k : int
+            From 1 to the number of vectors.
+
+        Returns
+        -------
+        squared : (Q, k) float32 array
+            Squared Euclidean distances, ascending.
+        ids : (Q, k) int64 array
+            Rows of the vectors.
+
+        Raises
+        ------
+        SearchUnavailableError
+            If the search runs on a server that does not answer.
         """
 
 
@@ -86,16 +101,20 @@ class ExactNeighbours:
     def search(
         self, queries: NDArray[np.float32], k: int
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-        """Find the ``k`` vectors nearest to each query; see :meth:`Neighbours.search`.
-
-        If the vectors are bytes, queries are rounded as well: some versions of FAISS truncate the
-        fraction and let numbers beyond a byte's range overflow.
-        """
-        scaled = np.ascontiguousarray(queries * self._factor, np.float32)
-        if self._in_bytes:
-            scaled = np.rint(scaled).clip(-_MAX_STEPS, _MAX_STEPS) + _ZERO
-        squared, ids = _search(self._faiss, scaled, k)
+        """Find the ``k`` vectors nearest to each query, rounded; see :meth:`Neighbours.search`."""
+        scaled = np.ascontiguousarray(self.rounded(queries) * self._factor, np.float32)
+        squared, ids = _search(self._faiss, scaled + _ZERO if self._in_bytes else scaled, k)
         return squared / self._factor**2, ids
+
+    def rounded(self, queries: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The queries ``(Q, D)`` in the steps of the vectors, if these are bytes.
+
+        Some versions of FAISS truncate the fraction and let numbers beyond a byte's range overflow.
+        """
+        if not self._in_bytes:
+            return queries
+        steps = np.rint(queries * self._factor).clip(-_MAX_STEPS, _MAX_STEPS)
+        return np.asarray(steps / self._factor)
 
 
 def _search(

@@ -151,7 +151,10 @@ class PoseIndex:
         is at most ``V * E``, since an entry may be found for several variants.
         """
         queries, variants, dimension = vectors.shape
-        flat = np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
+        # Rounded here, so that a server finds the same as this process.
+        flat = self.vectors.rounded(
+            np.ascontiguousarray(vectors, np.float32).reshape(-1, dimension)
+        )
         squared, entry_ids = self.neighbours.search(flat, min(k, len(self)))
         squared, entry_ids = squared.reshape(queries, -1), entry_ids.reshape(queries, -1)
         variant = np.arange(variants).repeat(entry_ids.shape[1] // variants)

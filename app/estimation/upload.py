@@ -104,8 +104,11 @@ class Upload:
     def __post_init__(self) -> None:
         for name in ("frame", "background", "mask"):
             _check_kind(name, getattr(self, name))
-        if self.boxes is not None and not all(isinstance(box, Box) for box in self.boxes):
-            raise UploadError("boxes", "boxes: expected objects of app.Box, got others")
+        for name, kind in (("boxes", Box), ("track_ids", str)):
+            _check_list(name, getattr(self, name), kind)
+        if not isinstance(self.optics, Optics):
+            got = type(self.optics).__name__
+            raise UploadError("optics", f"optics: expected app.Optics, got a {got}")
         if self.frame is None and self.mask is None:
             raise UploadError("frame", "frame: expected an image file, got none")
         for name in ("background", "boxes"):
@@ -134,6 +137,15 @@ def _check_kind(name: str, given: object) -> None:
         name,
         f"{name}: expected the bytes of an image file or a NumPy array of shape {array}, got {got}",
     )
+
+
+def _check_list(name: str, given: object, kind: type) -> None:
+    if given is None:
+        return
+    is_list = isinstance(given, Sequence) and not isinstance(given, str)
+    if not is_list or not all(isinstance(one, kind) for one in given):
+        expected = "app.Box" if kind is Box else "strings"
+        raise UploadError(name, f"{name}: expected a list of {expected}, got something else")
 
 
 def _check_track_ids(track_ids: Sequence[str], boxes: Sequence[Box] | None) -> None:

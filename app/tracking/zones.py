@@ -119,11 +119,24 @@ class ZoneWatch:
         self.zones: tuple[Zone, ...] = ()
         """Zones in which the person was last seen, however briefly."""
         self._stays: dict[str, _Stay] = {}
+        self._posture: PostureName | None = None
 
     def locate(self, zones: Iterable[Zone], box: Box, posture: PostureName | None) -> None:
-        """Set the zones that the person is in, in the order given."""
-        point = place(box, posture)
-        self.zones = tuple(zone for zone in zones if contains(zone.polygon, point))
+        """Set the zones that the person is in, in the order given.
+
+        A zone that was entered is kept up to the margin, and an unclear posture is the last one, so
+        that a sleeper at a border does not change places.
+        """
+        self._posture = posture or self._posture
+        point, margin_px = place(box, self._posture), _MARGIN * max(box.width, box.height)
+
+        def holds(zone: Zone) -> bool:
+            stay = self._stays.get(zone.name)
+            is_kept = stay is not None and stay.entered
+            near = is_kept and distance(zone.polygon, point) <= margin_px
+            return near or contains(zone.polygon, point)
+
+        self.zones = tuple(filter(holds, zones))
 
     def update(
         self,
@@ -139,11 +152,9 @@ class ZoneWatch:
         for name in sorted(removed):
             events += self._leave(name, timestamp, timestamp)
         for zone in zones:
-            stay = self._stays.get(zone.name)
-            has_entered = stay is not None and stay.entered
-            if zone in self.zones or (has_entered and _is_near(zone, box, posture)):
+            if zone in self.zones:
                 events += self._inside(zone.name, timestamp)
-            elif stay is not None:
+            elif (stay := self._stays.get(zone.name)) is not None:
                 events += self._outside(zone.name, stay, timestamp)
         return events
 
@@ -173,9 +184,3 @@ class ZoneWatch:
         until = seen_at if stay.outside_since is None else stay.outside_since
         dwell_s = max(0.0, until - stay.since)
         return [Event("zone_left", "instant", timestamp, 1.0, zones=(name,), dwell_s=dwell_s)]
-
-
-def _is_near(zone: Zone, box: Box, posture: PostureName | None) -> bool:
-    """Whether a person is at most the margin away from a zone's border."""
-    margin_px = _MARGIN * max(box.width, box.height)
-    return distance(zone.polygon, place(box, posture)) <= margin_px

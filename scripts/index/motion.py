@@ -1,6 +1,6 @@
 """Motion capture: BVH clips to poses, and which frames to leave out.
 
-A motion folder whose BVH files are not CMU's holds a ``rig.json``::
+Where BVH files are not CMU's, their own folder or the motion folder holds a ``rig.json``::
 
     {"metres_per_unit": 0.01, "joints": {"Hips": "mixamorig:Hips", "LowerBack": "mixamorig:Spine"}}
 
@@ -60,10 +60,10 @@ class Rig(BaseModel):
 CMU = Rig()
 
 
-def read_rig(folder: Path) -> Rig:
-    """Read the rig of a motion folder, CMU's where it names none; raise :class:`MotionError`."""
-    file = Path(folder) / RIG_FILE
-    if not file.exists():
+def read_rig(*folders: Path) -> Rig:
+    """Read the rig of the first folder that names one, else CMU's; raise :class:`MotionError`."""
+    file = next((one / RIG_FILE for one in folders if (one / RIG_FILE).exists()), None)
+    if file is None:
         return CMU
     try:
         return Rig.model_validate_json(file.read_text("utf-8-sig", "replace"))

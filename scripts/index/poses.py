@@ -156,9 +156,12 @@ def read_poses(motion: Path, segments: Sequence[Segment]) -> tuple[Poses, Droppe
         raise MotionError("expected at least one segment of motion, got none")
     by_clip = sorted(segments, key=lambda segment: segment.clip)
     subjects = {segment.clip: segment.subject for segment in by_clip}
-    rig = read_rig(motion)
+    files = {name: Path(motion) / "bvh" / f"{name}.bvh" for name in subjects}
     clips = with_level_heads(
-        [read_clip(Path(motion) / "bvh" / f"{name}.bvh", rig) for name in subjects],
+        [
+            replace(read_clip(file, read_rig(file.parent, Path(motion))), name=name)
+            for name, file in files.items()
+        ],
         list(subjects.values()),
     )
     actions = tuple(sorted({segment.action for segment in segments}))

@@ -22,6 +22,12 @@ def test_while_the_index_is_loading_clients_get_a_503(settings: Settings) -> Non
     assert "retry-after" not in TestClient(app).get("/readyz").headers
 
 
+def test_one_of_several_processes_takes_requests_once_it_is_ready(settings: Settings) -> None:
+    several = settings.model_copy(update={"workers": 2, "max_cameras": 0})
+    with TestClient(create_app(several)) as client:
+        assert client.get("/readyz").status_code == 200
+
+
 def test_probes_report_any_error_in_loading(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

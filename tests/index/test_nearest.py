@@ -64,6 +64,16 @@ def test_queries_are_not_rounded(in_bytes: PoseIndex) -> None:
     assert exact.exact is exact
 
 
+def test_another_search_is_asked_what_this_process_would_compare(in_bytes: PoseIndex) -> None:
+    vectors = in_bytes.vectors[:]
+    elsewhere = replace(in_bytes, searched_by=ExactNeighbours(vectors, in_bytes=False))
+    queries = vectors[:9, None] + np.random.default_rng(0).normal(0, 0.3, vectors[:9, None].shape)
+    for here, there in zip(
+        in_bytes.search(queries, 20), elsewhere.search(queries, 20), strict=True
+    ):
+        assert np.array_equal(here, there)
+
+
 def test_hypotheses_are_entries_as_they_are_nearest_first(tiny_index: PoseIndex) -> None:
     silhouette = shifted(tiny_index.silhouette(5), 1)
     found = match_nearest(tiny_index, silhouette, 12).hypotheses

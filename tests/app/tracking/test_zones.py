@@ -139,6 +139,18 @@ def test_at_the_border_nothing_alternates(fps: float, jitter: list[float]) -> No
     assert names in ([], ["zone_entered"])
 
 
+@given(jitter=st.lists(st.tuples(st.floats(-9, 9), st.booleans()), min_size=60, max_size=60))
+def test_a_sleeper_at_the_border_of_two_zones_stays(jitter: list[tuple[float, bool]]) -> None:
+    """Also while the posture is unclear: the feet would be outside of both."""
+    watch, events = ZoneWatch(), []
+    halves = zone("bed", 0, 100, "rest"), zone("sofa", 100, 200)
+    for number, (x, is_clear) in enumerate([(-20.0, True)] * 9 + jitter):
+        posture: PostureName | None = "lying" if is_clear else None
+        events += watch.update(number / FPS, halves, Box(50 + x, 70, 100, 30), posture)
+        assert halves[0] in watch.zones
+    assert [event.event for event in events] in (["zone_entered"], ["zone_entered"] * 2)
+
+
 @given(feet_px=st.lists(st.sampled_from([50.0, 105.0, 150.0]), max_size=60))
 def test_a_person_enters_and_leaves_in_turn(feet_px: list[float]) -> None:
     names = [event.event for event in walk(feet_px)]

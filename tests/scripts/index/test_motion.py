@@ -191,6 +191,18 @@ def test_a_renamed_rig_gives_the_same_poses(
     assert_allclose(theirs, ours, atol=1e-6)
 
 
+def test_clips_of_two_tools_lie_in_one_folder(
+    ours: Path, renamed: Path, avatars: list[Avatar]
+) -> None:
+    folder = ours.parents[1]
+    (folder / "bvh" / "tool").mkdir()
+    renamed.rename(folder / "bvh" / "tool" / "stroll.bvh")
+    (folder / "bvh" / "tool" / RIG_FILE).write_text(json.dumps({"joints": RENAMED_JOINTS}))
+    poses, _ = read_poses(folder, (*STROLL, Segment("tool/stroll", "s1", "walk", 0, 20)))
+    joints = joints_of(poses, avatars[0])
+    assert_allclose(joints[:20], joints[20:], atol=1e-6)
+
+
 @pytest.mark.parametrize("unit", [1.0, 0.001])
 def test_units_that_make_no_person_are_refused(tmp_path: Path, unit: float) -> None:
     file = write_clip(tmp_path / "walk.bvh", walk(9))
