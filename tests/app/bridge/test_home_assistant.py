@@ -18,7 +18,7 @@ import app.bridge as common_module
 from app.bridge import home_assistant as module
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox, deliver
-from app.tracking.results import EVENT_NAMES
+from app.configuration import EVENT_NAMES
 from tests.app.bridge.servers import event
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker, Subscriber

@@ -8,7 +8,7 @@ import pytest
 
 from app.bridge.bridge import HELD_S, Bridge
 from app.bridge.outbox import Outbox
-from app.tracking.results import EVENT_NAMES
+from app.configuration import EVENT_NAMES
 from tests.app.bridge.servers import event
 
 Shown = tuple[int, Mapping[str, bool] | None]
