@@ -51,14 +51,6 @@ def _source(given: object) -> str:
     return source
 
 
-def _key(given: object) -> SecretStr | None:
-    if given is None or isinstance(given, SecretStr):
-        return given
-    if not isinstance(given, str | int):
-        raise ValueError("expected text, got something else")
-    return SecretStr(str(given))
-
-
 def _listed(given: object) -> Sequence[object]:
     return given if isinstance(given, list | tuple) else () if given is None else [given]
 
@@ -95,7 +87,7 @@ class Settings(Given, BaseSettings):
 
     url: _Web = urlsplit("http://127.0.0.1:8000")
     """Of the service."""
-    api_key: Annotated[SecretStr | None, PlainValidator(_key)] = None
+    api_key: SecretStr | None = None
     webhook: Annotated[tuple[_Web, ...], NoDecode, BeforeValidator(_listed)] = ()
     """One URL or several, which events are posted to."""
     mqtt: _Broker = None
@@ -138,9 +130,11 @@ def settings_from(given: Mapping[str, Any], place: Callable[[Steps], str]) -> Se
         steps = [step for step in first["loc"] if step != "[key]"] + unknown
         variable = f"{PREFIX}{steps[0]}".upper()
         is_variable = steps[0] not in given and variable in os.environ
-        sentence = re.sub(r"//\S*@", "//", expected_and_got(first))
+        is_secret = steps[0] == "api_key"
+        sentence = "expected text" if is_secret else expected_and_got(first)
+        sentence = re.sub(r"//\S*@", "//", sentence).replace("a JSON object", "fields")
         where = variable if is_variable else place(steps)
-        raise SettingsError(f"{where}: {sentence.replace('a JSON object', 'fields')}") from None
+        raise SettingsError(f"{where}: {sentence}") from None
 
 
 def _plain(node: yaml.Node, loader: yaml.SafeLoader) -> Any:

@@ -6,6 +6,7 @@ import io
 import json
 import socket
 import time
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 from urllib.parse import SplitResult, unquote, urlencode
@@ -118,8 +119,14 @@ class Connection:
 class Camera:
     """A camera session of a service; raises what :class:`Connection` does."""
 
-    def __init__(self, address: SplitResult, camera_id: str, api_key: str | None) -> None:
-        self.camera_id = camera_id
+    def __init__(
+        self,
+        address: SplitResult,
+        camera_id: str,
+        api_key: str | None,
+        configuration: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.camera_id, self._configuration = camera_id, configuration
         self._connection = Connection(address, _FRAME_TIMEOUT_S, _MAX_REPLY_BYTES)
         self._path = f"{address.path.rstrip('/')}/cameras/{camera_id}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
@@ -129,6 +136,12 @@ class Camera:
         encoded = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
         return self._send("POST", f"/frames?{query}", "persons", encoded)
+
+    def configure(self) -> None:
+        """Set zones, optics and events, unless they are left to the service."""
+        if self._configuration is not None:
+            body = json.dumps(self._configuration).encode()
+            self._send("PUT", "", "zones", body)
 
     def settings(self) -> tuple[list[str], list[str]]:
         """Return the names of the camera's zones, and the events it raises; it has sent a frame."""
@@ -149,7 +162,8 @@ class Camera:
         self, method: str, path: str, expected: str, body: bytes | None = None
     ) -> tuple[bool, dict[str, Any]]:
         """Return whether the session is new, and an answer that has an expected field."""
-        headers = self._headers | ({"Content-Type": "image/jpeg"} if body else {})
+        kind = "image/jpeg" if method == "POST" else "application/json"
+        headers = self._headers | ({"Content-Type": kind} if body else {})
         answer, content = self._connection.request(method, self._path + path, body, headers)
         try:
             parsed = json.loads(content)

@@ -33,7 +33,9 @@ class Watched:
         self.raised = raised
         self.outbox = Outbox("yard", ["webhook"])
         self._shown: list[Shown] = []
-        show = SimpleNamespace(show=lambda people, zones, **_: self._shown.append((people, zones)))
+        show = SimpleNamespace(
+            show=lambda people, zones, *_, **__: self._shown.append((people, zones))
+        )
         self._bridge = Bridge(Camera(raised), self.outbox, show)  # type: ignore[arg-type]
         self._bridge._read_settings()
 
