@@ -16,7 +16,7 @@ from app.messages import dotted, expected_and_got
 
 PREFIX = "WATCH_"
 
-Steps = Sequence[int | str]
+Steps = tuple[int | str, ...]
 """Names and numbers that lead to a value."""
 
 
@@ -102,10 +102,11 @@ class Settings(Given, BaseSettings):
 
 def read_file(path: Path) -> Settings:
     """Read a file of cameras, in YAML; a SettingsError names the line and the field."""
+    lines: dict[Steps, int] = {(): 1}
     try:
         loader = yaml.SafeLoader(path.read_text("utf-8-sig"))
-        root = loader.get_single_node()
-        given = None if root is None else _plain(root, loader)
+        node = loader.get_single_node()
+        given = {} if node is None else _plain(node, loader, lines)
     except OSError as error:
         reason = error.strerror or type(error).__name__
         raise SettingsError(f"expected a file of cameras, got {path}: {reason}") from None
@@ -116,7 +117,12 @@ def read_file(path: Path) -> Settings:
         raise SettingsError(f"{path}: expected a text of YAML, got something else") from None
     if not isinstance(given, dict):
         raise SettingsError(f"{path}: expected fields such as cameras, got none")
-    return settings_from(given, lambda steps: f"{path}, line {_line(root, steps)}: {dotted(steps)}")
+
+    def place(steps: Steps) -> str:
+        line = next(lines[steps[:n]] for n in range(len(steps), -1, -1) if steps[:n] in lines)
+        return f"{path}, line {line}: {dotted(steps)}"
+
+    return settings_from(given, place)
 
 
 def settings_from(given: Mapping[str, Any], place: Callable[[Steps], str]) -> Settings:
@@ -126,45 +132,34 @@ def settings_from(given: Mapping[str, Any], place: Callable[[Steps], str]) -> Se
     except ValidationError as error:
         first = error.errors()[0]
         cause = first.get("ctx", {}).get("error")
-        unknown = [cause.name] if isinstance(cause, UnknownNameError) else []
-        steps = [step for step in first["loc"] if step != "[key]"] + unknown
+        steps = tuple(step for step in first["loc"] if step != "[key]")
+        if isinstance(cause, UnknownNameError):
+            steps = *steps, cause.name
         variable = f"{PREFIX}{steps[0]}".upper()
         is_variable = steps[0] not in given and variable in os.environ
-        is_secret = steps[0] == "api_key"
-        sentence = "expected text" if is_secret else expected_and_got(first)
+        sentence = "expected text" if steps[0] == "api_key" else expected_and_got(first)
         sentence = re.sub(r"//\S*@", "//", sentence).replace("a JSON object", "fields")
-        where = variable if is_variable else place(steps)
-        raise SettingsError(f"{where}: {sentence}") from None
+        raise SettingsError(f"{variable if is_variable else place(steps)}: {sentence}") from None
 
 
-def _plain(node: yaml.Node, loader: yaml.SafeLoader) -> Any:
-    """What a node says; names of fields and cameras are text, whatever they look like."""
+def _plain(
+    node: yaml.Node, loader: yaml.SafeLoader, lines: dict[Steps, int], steps: Steps = ()
+) -> Any:
+    """What a node says, with the lines of what is in it; names are text, as they are written."""
     if isinstance(node, yaml.SequenceNode):
-        return [_plain(value, loader) for value in node.value]
-    if not isinstance(node, yaml.MappingNode):
+        named = dict(enumerate(node.value))
+        marks = {number: value.start_mark for number, value in named.items()}
+    elif isinstance(node, yaml.MappingNode):
+        names = [key.value for key, _ in node.value]
+        for key, _ in node.value:
+            if names.count(key.value) > 1:
+                problem = f"{key.value} is there twice"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=key.start_mark)
+        loader.flatten_mapping(node)  # What `<<` merges.
+        named = {key.value: value for key, value in node.value}
+        marks = {key.value: key.start_mark for key, _ in node.value}
+    else:
         return loader.construct_object(node)
-    names = [key.value for key, _ in node.value]
-    for number, (key, _) in enumerate(node.value):
-        if key.value in names[:number]:
-            raise yaml.MarkedYAMLError(
-                problem=f"{key.value} is there twice", problem_mark=key.start_mark
-            )
-    loader.flatten_mapping(node)  # What `<<` merges.
-    return {key.value: _plain(value, loader) for key, value in node.value}
-
-
-def _line(node: yaml.Node, steps: Steps) -> int:
-    """Number of the line that steps lead to, as far as there is a node."""
-    mark = node.start_mark
-    for step in steps:
-        if isinstance(node, yaml.MappingNode):
-            found = [pair for pair in node.value if pair[0].value == step]
-        elif isinstance(node, yaml.SequenceNode):
-            found = [(one, one) for number, one in enumerate(node.value) if number == step]
-        else:
-            break
-        if not found:
-            break
-        key, node = found[-1]
-        mark = key.start_mark
-    return mark.line + 1
+    lines |= {(*steps, name): mark.line + 1 for name, mark in marks.items()}
+    plain = {name: _plain(one, loader, lines, (*steps, name)) for name, one in named.items()}
+    return list(plain.values()) if isinstance(node, yaml.SequenceNode) else plain

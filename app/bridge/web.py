@@ -1,13 +1,12 @@
 """What the bridge sends over HTTP: frames to a service, events to a webhook."""
 
 import base64
+import contextlib
 import http.client
-import io
 import json
 import socket
-import time
+import threading
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 from urllib.parse import SplitResult, unquote, urlencode
 
@@ -21,35 +20,6 @@ _FRAME_TIMEOUT_S, _EVENT_TIMEOUT_S = 20.0, 10.0
 _MAX_REPLY_BYTES = 16 * 2**20
 # Statuses after which the same event would be refused again.
 _REFUSED_AGAIN = (400, 405, 410, 413, 415, 422)
-
-
-class _TimedReader(io.RawIOBase):
-    """What a socket receives until a deadline, however slowly it comes."""
-
-    def __init__(self, received: io.RawIOBase, connection: socket.socket, deadline: float) -> None:
-        self._received, self._connection, self._deadline = received, connection, deadline
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int | None:
-        left_s = self._deadline - time.monotonic()
-        if left_s <= 0:
-            raise TimeoutError("the answer took too long")
-        self._connection.settimeout(left_s)
-        return self._received.readinto(buffer)
-
-    def close(self) -> None:
-        self._received.close()
-        super().close()
-
-
-class _TimedResponse(http.client.HTTPResponse):
-    """An answer, from its head on, that has to come until a deadline."""
-
-    def __init__(self, sock: socket.socket, *given: Any, deadline: float, **named: Any) -> None:
-        super().__init__(sock, *given, **named)
-        self.fp = io.BufferedReader(_TimedReader(self.fp.detach(), sock, deadline))
 
 
 class Connection:
@@ -78,21 +48,24 @@ class Connection:
 
         Raises ``UnavailableError`` if there is none, ``RefusedError`` for a status of 300 or more.
         """
-        connection = self._connection
-        if connection.sock:
-            connection.sock.settimeout(self._timeout_s)
+        connection, is_late = self._connection, threading.Event()
+        timer = threading.Timer(self._timeout_s, self._abort, [is_late])
+        timer.start()
         try:
             connection.request(method, target, body, self._headers | headers)
-            deadline = time.monotonic() + self._timeout_s
-            timed: Any = partial(_TimedResponse, deadline=deadline)
-            connection.response_class = timed
             response = connection.getresponse()
             content = response.read(self._max_bytes)
             if not response.isclosed():
                 self.close()  # The rest is not read.
+            if is_late.is_set():
+                raise TimeoutError
         except (OSError, http.client.HTTPException) as error:
             self.close()
-            raise UnavailableError(str(error) or type(error).__name__) from error
+            reason = str(error) or type(error).__name__
+            reason = "the answer took too long" if is_late.is_set() else reason
+            raise UnavailableError(reason) from error
+        finally:
+            timer.cancel()
         if response.status < 300:
             return response.headers, content
         try:
@@ -110,6 +83,12 @@ class Connection:
             response.status,
             float(after) if after.isdecimal() else wait_s,
         )
+
+    def _abort(self, is_late: threading.Event) -> None:
+        """End a connection on which an answer trickles, so that who reads it goes on."""
+        is_late.set()
+        with contextlib.suppress(OSError, AttributeError):
+            socket.socket.shutdown(self._connection.sock, socket.SHUT_RDWR)
 
     def close(self) -> None:
         """Close the connection; the next request opens another one."""
