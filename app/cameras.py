@@ -8,11 +8,12 @@ from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 from app.camera import CameraSession
+from app.configuration import EVENT_NAMES, EventName
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
-from app.tracking.results import EVENT_NAMES, Event, EventName, TrackedFrame
+from app.tracking.results import Event, TrackedFrame
 from app.tracking.zones import Zone
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 

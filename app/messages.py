@@ -1,7 +1,7 @@
 """Wording of validation errors: what was expected, and what was given instead."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -94,12 +94,20 @@ def located(error: ValidationError) -> tuple[str, str]:
     ('zones[0].polygon', 'expected a list, got 1')
     """
     first = error.errors()[0]
-    steps = (
-        f"[{step}]" if isinstance(step, int) else f".{step}"
-        for step in first["loc"]
-        if step != "[key]"  # The name before it is at fault, not its value.
-    )
-    return "".join(steps).removeprefix("."), expected_and_got(first)
+    # Before "[key]", a name is at fault, not its value.
+    return dotted([step for step in first["loc"] if step != "[key]"]), expected_and_got(first)
+
+
+def dotted(steps: Iterable[int | str]) -> str:
+    """Write the names and numbers that lead to a value as a program would.
+
+    Examples
+    --------
+    >>> dotted(("zones", 0, "polygon"))
+    'zones[0].polygon'
+    """
+    named = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    return "".join(named).removeprefix(".")
 
 
 def shortened(value: object) -> str:

@@ -14,15 +14,15 @@ from typing import Annotated, TypeVar, cast
 
 import anyio
 from fastapi import Depends, Request
-from pydantic import StringConstraints, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from app import VERSION
 from app.api.replies import settings_from
-from app.api.tracking_schemas import CameraConfiguration
 from app.cameras import CameraSessions, CameraSettings
+from app.configuration import CameraConfiguration, CameraId
 from app.decoding.pictures import Workers
 from app.http.errors import overloaded
-from app.http.identity import CAMERA_PATTERN, Caller, identity_of
+from app.http.identity import Caller, identity_of
 from app.http.metrics import Metrics
 from app.messages import located
 from app.networks.shipped import NetworkError
@@ -214,9 +214,7 @@ async def _become_ready_or_say_why(
     runtime.attempted.set()
 
 
-_CAMERAS = TypeAdapter(
-    dict[Annotated[str, StringConstraints(pattern=CAMERA_PATTERN)], CameraConfiguration]
-)
+_CAMERAS = TypeAdapter(dict[CameraId, CameraConfiguration])
 
 
 def read_cameras(path: Path | None) -> dict[str, CameraSettings]:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from app.api import schemas, tracking_schemas
 from app.api.schemas import METRE_DIGITS, PIXEL_DIGITS
 from app.cameras import CameraSettings, CameraSummary
+from app.configuration import EVENT_NAMES, CameraConfiguration
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.settings import Method
-from app.tracking.results import EVENT_NAMES, SmoothedPose, TrackedFrame, TrackedPerson
+from app.tracking.results import SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import Zone, crosses_itself, is_outside
 from app.vision.optics import Optics
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
@@ -326,7 +327,8 @@ _NO_SESSION: dict[str, Any] = {
 }
 
 
-def settings_from(configuration: tracking_schemas.CameraConfiguration) -> CameraSettings:
+def settings_from(configuration: CameraConfiguration) -> CameraSettings:
+    """Convert a camera's configuration."""
     zones = [
         Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
     ]

@@ -47,42 +47,6 @@ _Metres = Annotated[FiniteFloat, rounding(2)]
 _Degrees = Annotated[FiniteFloat, rounding(2)]
 _Milliseconds = Annotated[FiniteFloat, Field(ge=0), rounding(3)]
 
-FieldOfView = Annotated[
-    FiniteFloat,
-    Field(
-        ge=10,
-        le=170,
-        description="Horizontal field of view of the camera, degrees. Without it, 60 degrees are "
-        "assumed across the longer side of the frame. In a camera session, a frame's own value "
-        "wins over that of `PUT /cameras/{camera_id}`.",
-        examples=[90.0],
-    ),
-]
-PixelAspect = Annotated[
-    FiniteFloat,
-    Field(
-        ge=0.25,
-        le=4,
-        description="Width over height of a pixel; 2 for a camera that sends 960x1080 for "
-        "1920x1080. 1 without it, and of a video what its file says. The reply is in pixels of the "
-        "frame that was sent. In a camera session, a frame's own value wins.",
-        examples=[1.0],
-    ),
-]
-Roll = Annotated[
-    FiniteFloat,
-    Field(
-        ge=-360,
-        le=360,
-        multiple_of=90,
-        description="Clockwise rotation of the camera about its line of sight, degrees, a multiple "
-        "of 90; 0 without it. 90 for a camera whose upper side points to the right, so that people "
-        "have their heads at the left of its picture. Frames are turned upright first; the reply "
-        "is in pixels and axes of the frame that was sent. In a session, a frame's own value wins.",
-        examples=[0.0],
-    ),
-]
-
 
 class Model(BaseModel):
     """Base of all models: immutable, unknown fields forbidden, also made of objects alike."""

@@ -2,39 +2,33 @@
 
 from typing import Annotated, Literal
 
-import numpy as np
-from pydantic import ConfigDict, Field, FiniteFloat, field_validator, model_validator
+from pydantic import Field, FiniteFloat
 
 from app.api.schemas import (
     Duration,
-    FieldOfView,
     Flat2D,
     Flat3D,
     FrameUpload,
     ImageSize,
     Model,
     Person,
-    PixelAspect,
     Point2D,
     Point3D,
     PoseResponse,
     Probability,
-    Roll,
     Score,
     Seconds,
     rounding,
 )
+from app.configuration import EventName, FieldOfView, PixelAspect, Roll, Zone
 from app.estimation.posture import PostureLabel
 from app.film import VideoEndReason
-from app.messages import expected_name, shortened
-from app.tracking.results import EventName, EventState
-from app.tracking.zones import ZoneKind, has_area
+from app.tracking.results import EventState
 
 LATEST_TIMESTAMP_S = 1e11
 """Later than any clock in seconds, earlier than today in milliseconds."""
 
-MAX_TRACK_ID_CHARACTERS = MAX_NAME_CHARACTERS = 64
-MAX_ZONES, MAX_CORNERS = 32, 64
+MAX_TRACK_ID_CHARACTERS = 64
 
 
 class TrackUpload(FrameUpload):
@@ -54,99 +48,6 @@ class TrackUpload(FrameUpload):
         description="When the frame was taken: seconds on any clock that never goes back, later "
         "than the last frame. By default, the time of arrival is used.",
     )
-
-
-class _Given(Model):
-    """Part of a configuration that a caller sends."""
-
-    model_config = ConfigDict(from_attributes=False)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_names(cls, given: object) -> object:
-        # Pydantic would refuse unknown names too, but not list the known ones.
-        for name in given if isinstance(given, dict) else ():
-            if name not in cls.model_fields:
-                got = f", got {shortened(name)}"
-                raise ValueError(expected_name(name, cls.model_fields, "fields", got))
-        return given
-
-
-class Zone(_Given):
-    """A region of a camera's image."""
-
-    name: str = Field(
-        min_length=1,
-        max_length=MAX_NAME_CHARACTERS,
-        description="Unique for the camera.",
-        examples=["bed"],
-    )
-    kind: ZoneKind = Field(
-        description="`rest`: a bed or a sofa, where lying is normal: neither `lying` nor `fell` "
-        "begins there; `watch`: any other region to name with persons and events.",
-        examples=["rest"],
-    )
-    polygon: list[
-        Annotated[
-            list[Annotated[FiniteFloat, Field(strict=True)]], Field(min_length=2, max_length=2)
-        ]
-    ] = Field(
-        min_length=3,
-        max_length=MAX_CORNERS,
-        description="Corners `[x, y]` in order, in pixels of the frame. The polygon may reach "
-        "beyond the frame and cross itself; what it then surrounds twice lies outside of it.",
-        examples=[[[210, 300], [420, 290], [440, 470], [190, 470]]],
-    )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _choose_kind(cls, given: object) -> object:
-        # A missing one is refused like a wrong one: with the kinds that there are.
-        return {"kind": None, **given} if isinstance(given, dict) else given
-
-    @field_validator("name")
-    @classmethod
-    def _is_printable(cls, name: str) -> str:
-        if not name.isprintable():
-            raise ValueError(f"expected a name of printable characters, got {name!r}")
-        return name
-
-    @field_validator("polygon")
-    @classmethod
-    def _holds_something(cls, polygon: list[list[float]]) -> list[list[float]]:
-        if not has_area(np.array(polygon)):
-            got = "all of them within a pixel" if np.ptp(polygon, axis=0).max() <= 1 else "a line"
-            raise ValueError(f"expected corners around an area, in pixels of the frame, got {got}")
-        return polygon
-
-
-class CameraConfiguration(_Given):
-    """The configuration of a camera."""
-
-    zones: list[Zone] = Field([], max_length=MAX_ZONES, description="All zones of the camera.")
-    fov_deg: Annotated[FieldOfView, Field(strict=True)] | None = Field(
-        None, description="Horizontal field of view, degrees, for frames that are sent without one."
-    )
-    pixel_aspect: Annotated[PixelAspect, Field(strict=True)] | None = Field(
-        None, description="Width over height of a pixel, for frames that are sent without one."
-    )
-    roll_deg: Annotated[Roll, Field(strict=True)] | None = Field(
-        None,
-        description="Clockwise rotation of the camera about its line of sight, degrees, for frames "
-        "that are sent without one.",
-    )
-    events: list[EventName] | None = Field(
-        None, description="The events that the camera raises; by default, or with null, all."
-    )
-
-    @field_validator("zones")
-    @classmethod
-    def _named_once(cls, zones: list[Zone]) -> list[Zone]:
-        names = [zone.name for zone in zones]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"expected zones of different names, got {name!r} twice")
-        return zones
 
 
 class SmoothedPose(Model):

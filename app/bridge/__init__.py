@@ -1,10 +1,11 @@
-"""The bridge between a camera and a service: frames in, events out; see :mod:`app.bridge.__main__`.
+"""The bridge between cameras and a service: frames in, events out; see :mod:`app.bridge.__main__`.
 
 Here are its log lines and faults.
 """
 
 import contextlib
 import sys
+import threading
 import time
 
 WAITS_S = (0.5, 1.0, 2.0, 5.0, 10.0)
@@ -25,9 +26,15 @@ class RefusedError(Exception):
 
 
 def say(text: str) -> None:
-    """Print a line with the time of day to standard error; standard output is for events alone."""
+    """Print a line with the time of day to standard error; standard output is for events alone.
+
+    It names the camera, as the threads of a camera are called.
+    """
+    thread = threading.current_thread()
+    camera = "" if thread is threading.main_thread() else f"{thread.name}: "
+    line = f"{time.strftime('%H:%M:%S')} {camera}{printable(text)}\n"
     with contextlib.suppress(OSError):  # A log on a full disk ends nothing.
-        print(time.strftime("%H:%M:%S"), printable(text), file=sys.stderr, flush=True)
+        print(line, end="", file=sys.stderr, flush=True)
 
 
 def printable(text: str) -> str:

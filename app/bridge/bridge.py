@@ -32,7 +32,8 @@ class Presence:
     """
 
     def __init__(self) -> None:
-        self._seen: dict[int, tuple[float, list[str]]] = {}  # Time and zones by identity.
+        # Time, zones and posture by identity.
+        self._seen: dict[int, tuple[float, list[str], str]] = {}
 
     @property
     def track_ids(self) -> list[int]:
@@ -41,7 +42,12 @@ class Presence:
 
     def is_occupied(self, zone: str) -> bool:
         """Whether a person is in a zone."""
-        return any(zone in zones for _, zones in self._seen.values())
+        return any(zone in zones for _, zones, _ in self._seen.values())
+
+    @property
+    def postures(self) -> set[str]:
+        """Postures of the people."""
+        return {posture for _, _, posture in self._seen.values()}
 
     def update(self, answer: Mapping[str, Any], *, anew: bool = False) -> None:
         """Add the people of a frame; ``anew`` says that earlier ones have other identities."""
@@ -49,33 +55,46 @@ class Presence:
         left = {one["track_id"] for one in answer["events"] if one["event"] == "left"}
         before = {} if anew or answer["reset"] else self._seen
         self._seen = {
-            person: (seen_at, zones)
-            for person, (seen_at, zones) in before.items()
-            if person not in left and now - seen_at <= HELD_S
+            person: seen
+            for person, seen in before.items()
+            if person not in left and now - seen[0] <= HELD_S
         }
-        self._seen |= {one["track_id"]: (now, one["zones"]) for one in answer["persons"]}
+        for one in answer["persons"]:
+            self._seen[one["track_id"]] = now, one["zones"], _posture(one)
 
 
 class Bridge:
     """Posts a camera's frames, passes the events on, and shows Home Assistant what there is."""
 
     def __init__(
-        self, camera: Camera, outbox: Outbox, home_assistant: HomeAssistant | None = None
+        self,
+        camera: Camera,
+        outbox: Outbox,
+        home_assistant: HomeAssistant | None = None,
+        *,
+        ends_if_refused: bool = False,
     ) -> None:
         self._camera, self._outbox, self._home_assistant = camera, outbox, home_assistant
+        self._ends_if_refused = ends_if_refused
         self._presence = Presence()
         self._obstructed = False
         self._zones: list[str] | None = None  # Not known before the service has named them.
         self._raises_left = True
         self._trouble = Trouble("the service answers again")
+        self._is_configured = False
+        self._not_set = Trouble("the service takes zones and optics")
         # Whether the service may list events that were not passed on.
         self._missed_events = True
         self.answered = 0
 
     def watch(self, source: Source, fps: float, stopping: threading.Event) -> None:
-        """Post frames until a file ends or this is stopped; ``RefusedError`` if none is taken."""
+        """Post frames until a file ends or this is stopped.
+
+        With ``ends_if_refused``, raises RefusedError if none is taken.
+        """
         status_at = time.monotonic()
         with contextlib.suppress(UnavailableError, RefusedError):  # The first frame meets the same.
+            self._configure()
             self._catch_up()
         for frame in source.frames(stopping):
             began = time.monotonic()
@@ -90,6 +109,8 @@ class Bridge:
     def _track(self, frame: Frame) -> tuple[dict[str, Any] | None, float]:
         """Return the answer to a frame, None if there is none, and the seconds to wait."""
         try:
+            if self._missed_events or not self._is_configured:
+                self._configure()
             if self._missed_events:
                 self._catch_up()
             self._missed_events = True
@@ -98,14 +119,27 @@ class Bridge:
             self._trouble.report(f"the service does not answer: {error}")
             return None, RETRY_AFTER_S
         except RefusedError as refusal:
-            if refusal.status in _NO_KEY or (not self.answered and refusal.status in _NO_CAMERA):
+            is_lasting = refusal.status in (_NO_KEY if self.answered else _NO_KEY + _NO_CAMERA)
+            if is_lasting and self._ends_if_refused:
                 raise
-            self._trouble.report(f"the service does not take a frame: {refusal}")
-            return None, refusal.retry_after_s
+            wait_s = self._trouble.report(f"the service does not take a frame: {refusal}")
+            return None, wait_s if is_lasting else refusal.retry_after_s
         self._missed_events = False
         self._trouble.end()
         self._hand_on(is_new, answer)
         return answer, 0.0
+
+    def _configure(self) -> None:
+        """Tell the service about the camera, of which it may know nothing."""
+        try:
+            self._camera.configure()
+        except RefusedError as refusal:
+            if refusal.status in _NO_KEY:
+                raise
+            self._not_set.report(f"the service does not take zones and optics: {refusal}")
+        else:
+            self._not_set.end()
+        self._is_configured = True
 
     def _catch_up(self) -> None:
         """Pass on the events that the service lists after the newest that was passed on."""
@@ -122,6 +156,7 @@ class Bridge:
 
     def _hand_on(self, is_new: bool, answer: Mapping[str, Any]) -> None:
         if is_new and self.answered:
+            self._is_configured = False
             say("the service had forgotten this camera: people are numbered anew")
             for track_id in self._presence.track_ids if self._raises_left else ():
                 self._pass_on(self._message(_left(track_id, answer["timestamp"])))
@@ -136,7 +171,8 @@ class Bridge:
 
     def _pass_on(self, message: Message) -> None:
         try:
-            print(json.dumps(message), flush=True)
+            # As one piece, since other cameras print, too.
+            print(f"{json.dumps(message)}\n", end="", flush=True)
         except OSError as error:  # A file on a full disk, or a pipe that nobody reads.
             say(f"an event was not printed: {error}")
         self._outbox.put(message)
@@ -162,7 +198,9 @@ class Bridge:
             if self._zones is not None:
                 occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
             people = len(self._presence.track_ids)
-            self._home_assistant.show(people, occupied, obstructed=self._obstructed)
+            self._home_assistant.show(
+                people, occupied, self._presence.postures, obstructed=self._obstructed
+            )
 
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:
@@ -172,10 +210,11 @@ def _left(track_id: int, timestamp: float) -> dict[str, Any]:
     return {"event": "left", "state": "instant", "zones": [], **known, **unknown}
 
 
+def _posture(person: Mapping[str, Any]) -> str:
+    return str((person["posture"] or {"label": "unclear"})["label"])
+
+
 def status(answer: Mapping[str, Any]) -> str:
     """Return the people of an answer, and how long the service took."""
-    people = ", ".join(
-        f"{person['track_id']} {(person['posture'] or {'label': 'unclear'})['label']}"
-        for person in answer["persons"]
-    )
+    people = ", ".join(f"{person['track_id']} {_posture(person)}" for person in answer["persons"])
     return f"{people or 'no people'}; {answer['timings_ms']['total']:.0f} ms"

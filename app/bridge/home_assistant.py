@@ -2,18 +2,20 @@
 
 Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
-``people`` (a number), ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None while offline,
+``people`` (a number), ``posture``, ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None
+while offline,
 ``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then OFF) and
 ``last_fall`` (its time), which stays.
 """
 
 import contextlib
 import json
+import math
 import re
 import threading
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 from urllib.parse import SplitResult, unquote
 
@@ -25,17 +27,19 @@ from paho.mqtt.properties import Properties
 from app import VERSION
 from app.bridge import Trouble, UnavailableError, say
 from app.bridge.outbox import Message
+from app.configuration import EVENT_NAMES
 
 BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
-_SENSORS = ("fell", "obstructed")  # Binary ones beside those of zones.
 _UNKNOWN = "None"  # As Home Assistant's sensors have it.
 _LASTING = ("lying", "arms_raised", "obstructed")
-EVENT_TYPES = [
-    *("entered", "left", "zone_entered", "zone_left", "fell"),
-    *(f"{name}{end}" for name in _LASTING for end in ("", "_ended")),
+EVENT_TYPES = [*EVENT_NAMES, *(f"{name}_ended" for name in _LASTING)]
+POSTURES = [
+    *("nobody", "unclear", "standing", "walking", "running", "arms_raised", "bending", "kneeling"),
+    *("crouching", "sitting", "crawling", "lying"),
 ]
+"""Of several people's postures, the one furthest down is shown."""
 _EVENT = (
     "{% set end = '_ended' if value_json.state == 'end' else '' %}"
     "{{ dict(value_json, event_type=value_json.event ~ end) | tojson }}"
@@ -44,6 +48,7 @@ _EVENT = (
 _KEEPALIVE_S = 10
 _ANSWERS_WITHIN_S = 5.0
 _RETRY_AFTER_S = 10.0
+_SILENT_S = 1.0
 
 
 def slug(name: str) -> str:
@@ -65,13 +70,15 @@ class HomeAssistant:
     ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
     """
 
-    def __init__(self, address: SplitResult, camera_id: str) -> None:
-        self._name = f"Silhouette pose {camera_id}"
+    def __init__(self, address: SplitResult, camera_id: str, name: str | None = None) -> None:
+        self._name = name or f"Silhouette pose {camera_id}"
         self._device = f"silhouette_pose_{slug(camera_id)}"
         self._base = f"silhouette-pose/{camera_id}"
         self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
         self._fell_until = self._seen_at = 0.0
         self._fall_shown = ""  # Its id.
+        self._is_closed = self._is_withdrawn = False
+        self._connected_at = math.inf
         # Retained messages by topic: those that there should be, and those that the broker has.
         self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
         self._published: dict[str, str] = {}
@@ -88,6 +95,7 @@ class HomeAssistant:
         self._announce("binary_sensor", "fell", "Fell", **problem, **fell)
         self._announce("binary_sensor", "obstructed", "Obstructed", **problem)
         self._announce("sensor", "people", "People", state_class="measurement")
+        self._announce("sensor", "posture", "Posture", device_class="enum", options=POSTURES)
         # These two stay as they are while the camera is offline.
         always = {"availability_topic": None}
         self._announce("sensor", "last_fall", "Last fall", device_class="timestamp", **always)
@@ -116,19 +124,22 @@ class HomeAssistant:
             raise UnavailableError(f"the broker {self._outage}")
         if message["event"] == "fell" and message["id"] != self._fall_shown:
             self._fell_until = time.monotonic() + FELL_SHOWN_S
-            last_fall = f"{self._base}/last_fall"
+            self._fall_shown = message["id"]
             with self._changed:
                 self._state[self._fell] = json.dumps({**message, "state": "ON"})
-                self._state[last_fall] = message["time"]
-            self._retain(last_fall)
-            self._retain(self._fell)
-            self._fall_shown = message["id"]
+                self._state[f"{self._base}/last_fall"] = message["time"]
+        # Before those two, so that an automation knows which falls it was told of.
         self._publish(f"{self._base}/events", json.dumps(message))
 
     def show(
-        self, people: int, zones: Mapping[str, bool] | None, *, obstructed: bool = False
+        self,
+        people: int,
+        zones: Mapping[str, bool] | None,
+        postures: Collection[str] = (),
+        *,
+        obstructed: bool = False,
     ) -> None:
-        """Show how many people there are, which zones are occupied, and if the view is blocked.
+        """Show people, their postures, which zones are occupied, and if the view is blocked.
 
         Zones are None while they are not known; new ones are announced. Those that are gone, even
         since an earlier start, are withdrawn.
@@ -138,6 +149,8 @@ class HomeAssistant:
             if zones is not None:
                 self._show_zones(zones)
             self._state[f"{self._base}/people"] = str(people)
+            known = [*filter(POSTURES.__contains__, postures), "unclear" if people else "nobody"]
+            self._state[f"{self._base}/posture"] = max(known, key=POSTURES.index)
             self._state[f"{self._base}/obstructed"] = "ON" if obstructed else "OFF"
             self._state[self._available] = "online"
 
@@ -150,7 +163,7 @@ class HomeAssistant:
             self._config("binary_sensor", topic): f"{self._base}/{topic}"
             for topic in (self._zones or {}).keys() - topics.keys()
         }
-        known = {self._config("binary_sensor", topic) for topic in (*_SENSORS, *topics)}
+        known = self._state.keys()
         gone |= {config: state for config, state in self._earlier.items() if config not in known}
         self._state |= dict.fromkeys([*gone.keys(), *gone.values()], "")
         self._zones, self._earlier = topics, {}
@@ -183,8 +196,26 @@ class HomeAssistant:
         """Show that the camera is offline; what it sees becomes unknown."""
         with self._changed:
             self._state[self._available] = "offline"
-            for topic in ("people", "obstructed", *(self._zones or ())):
+            for topic in ("people", "posture", "obstructed", *(self._zones or ())):
                 self._state[f"{self._base}/{topic}"] = _UNKNOWN
+
+    def withdraw(self) -> None:
+        """Clear all that the broker retains of this camera, which is watched no more."""
+        with self._changed:
+            self._is_withdrawn = True
+            self._state = dict.fromkeys(self._state, "")
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether the broker retains nothing of a camera that was withdrawn."""
+        has_heard = time.monotonic() > self._connected_at + _SILENT_S
+        return has_heard and self._client.is_connected() and not self.news()
+
+    def close(self) -> None:
+        """Disconnect; nothing is published any more."""
+        self._is_closed = True
+        self._client.disconnect()
+        self._client.loop_stop()
 
     def news(self) -> list[str]:
         """Return the topics whose retained message the connected broker does not have yet."""
@@ -215,6 +246,8 @@ class HomeAssistant:
         number = self._client.publish(topic, payload, qos=1, **options).mid
         with self._changed:
             while not self._changed.wait_for(lambda: number in self._answers, _ANSWERS_WITHIN_S):
+                if self._is_closed:
+                    raise UnavailableError("the connection was closed")
                 self._trouble.report(f"mqtt: the broker {self._outage}")
             answer = self._answers.pop(number)
         if answer.is_failure:
@@ -244,13 +277,16 @@ class HomeAssistant:
         with self._changed:
             self._outage = f"refuses: {answer}" if answer.is_failure else "does not answer"
             self._published.clear()
-        self._client.subscribe(self._config("binary_sensor", "+"))
+        self._connected_at = time.monotonic()
+        self._client.subscribe(self._config("+", "+"))
 
     def _on_message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         """Note an announcement of an earlier start."""
         with contextlib.suppress(ValueError, KeyError, TypeError), self._changed:
             if message.retain:
-                self._earlier[message.topic] = str(json.loads(message.payload)["state_topic"])
+                state = self._earlier[message.topic] = json.loads(message.payload)["state_topic"]
+                if self._is_withdrawn:
+                    self._state |= {message.topic: "", state: ""}
 
     def _on_disconnect(self, *_: Any) -> None:
         self._outage_began = time.monotonic()

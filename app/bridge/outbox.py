@@ -1,5 +1,6 @@
 """Events that wait until each receiver has taken them, in memory and in a file."""
 
+import contextlib
 import json
 import sqlite3
 import threading
@@ -14,7 +15,7 @@ Message = Mapping[str, Any]
 
 MAX_WAITING = 100_000  # For a receiver; beyond it, the oldest are dropped.
 _POLL_S = 0.2
-_WAITS = "--queue: {}: events wait in memory"
+_WAITS = "queue: {}: events wait in memory"
 # A message names its camera, and its id is that of no other camera.
 _SCHEMA = """
 create table if not exists waiting (
@@ -37,19 +38,15 @@ class Outbox:
         self._waiting: dict[str, dict[str, Message]] = {name: {} for name in receivers}
         # Receiver and id of what the file does not have yet, or has although it was taken.
         self._unsaved: dict[tuple[str, str], None] = {}
-        self._trouble = Trouble(f"--queue: events are stored in {path} again")
+        self._trouble = Trouble(f"queue: events are stored in {path} again")
         self._changed = threading.Condition()
-        is_open = False
-        try:
-            if path is not None:
-                self._database = sqlite3.connect(path, check_same_thread=False)
-                is_open = True
+        if path is not None:
+            known_cameras(path)
+            self._database = sqlite3.connect(path, check_same_thread=False)
+            try:
                 self._load()
-        except sqlite3.Error as error:
-            if not is_open or not isinstance(error, sqlite3.OperationalError):
-                expected = "--queue: expected a file for events"
-                raise OSError(f"{expected}, got {path}: {error}") from None
-            self._trouble.report(_WAITS.format(error))  # A full disk, say.
+            except sqlite3.OperationalError as error:  # A full disk, say.
+                self._trouble.report(_WAITS.format(error))
 
     def __len__(self) -> int:
         with self._changed:
@@ -95,13 +92,15 @@ class Outbox:
             self._unsaved[receiver, message_id] = None
 
     def _load(self) -> None:
+        camera = (self._camera_id,)
         self._database.executescript(_SCHEMA)
+        with self._database as database:
+            database.execute("insert or ignore into newest values (?, null)", camera)
         rows = self._database.execute("select receiver, id, message from waiting order by number")
         for receiver, message_id, text in rows:
             message = json.loads(text)
             if message["camera_id"] == self._camera_id and receiver in self._waiting:
                 self._waiting[receiver][message_id] = message
-        camera = (self._camera_id,)
         row = self._database.execute("select id from newest where camera = ?", camera).fetchone()
         self.newest = row and row[0]
 
@@ -128,6 +127,28 @@ class Outbox:
             self._unsaved.clear()
             self._trouble.end()
             return True
+
+
+def known_cameras(path: Path) -> set[str]:
+    """Return the cameras whose outboxes a file has; raises OSError if it cannot hold events."""
+    try:
+        with contextlib.closing(sqlite3.connect(path)) as database:
+            # A new file has no tables yet.
+            if not database.execute("select * from sqlite_master where name = 'newest'").fetchall():
+                return set()
+            return {name for (name,) in database.execute("select camera from newest")}
+    except sqlite3.Error as error:
+        expected = "queue: expected a file for events"
+        raise OSError(f"{expected}, got {path}: {error}") from None
+
+
+def forget_camera(path: Path, camera_id: str) -> None:
+    """Remove what a file has of a camera, unless the disk is full."""
+    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(path)) as database:
+        of_it = "delete from waiting where json_extract(message, '$.camera_id') = ?"
+        with database:
+            database.execute(of_it, (camera_id,))
+            database.execute("delete from newest where camera = ?", (camera_id,))
 
 
 def deliver(

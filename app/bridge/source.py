@@ -39,7 +39,10 @@ class Source:
         self._trouble = Trouble("the source gives frames")
         # Unix time at the zero of the monotonic clock, which no correction of seconds moves.
         self._clock_s = time.time() - time.monotonic()
-        threading.Thread(target=self._read, daemon=True).start()
+        self._closed = threading.Event()
+        self._decoder: Decoder | None = None
+        name = threading.current_thread().name
+        threading.Thread(target=self._read, name=name, daemon=True).start()
 
     def frames(self, stopping: threading.Event) -> Iterator[Frame]:
         """Yield the newest frame whenever there is one, until a file ends or this is stopped."""
@@ -52,17 +55,23 @@ class Source:
             if frame is not None:
                 yield frame
 
+    def close(self) -> None:
+        """Read no more."""
+        self._closed.set()
+        if self._decoder is not None:
+            self._decoder.kill()
+
     def _read(self) -> None:
-        while True:
+        while not self._closed.is_set():
             try:
                 self._read_once()
-            except VideoError as error:
-                if self.is_file:
+            except (VideoError, OSError) as error:
+                if self.is_file and not self._closed.is_set():
                     say(str(error))
-            if self.is_file:
+            if self.is_file or self._closed.is_set():
                 break
             # Its address may hold a password, anywhere.
-            time.sleep(self._trouble.report("the source gives no frame; trying again"))
+            self._closed.wait(self._trouble.report("the source gives no frame; trying again"))
         with self._changed:
             self._ended = True
             self._changed.notify()
@@ -77,7 +86,7 @@ class Source:
                 if elapsed_s - last_s > _JUMP_S:
                     began -= elapsed_s - last_s
                 moment, last_s = began + elapsed_s, elapsed_s
-                time.sleep(max(0.0, moment - time.monotonic()))
+                self._closed.wait(max(0.0, moment - time.monotonic()))
             with self._changed:
                 self._newest = Frame(self._number, self._time_of_day(moment), pixels)
                 self._changed.notify()
@@ -96,15 +105,18 @@ class Source:
         """Yield seconds since the first frame, 0 for a device, and pixels."""
         if self._source.isdecimal():
             device = cv2.VideoCapture(int(self._source))
-            while (read := device.read())[0]:
+            while (read := device.read())[0] and not self._closed.is_set():
                 yield 0.0, np.asarray(read[1], np.uint8)
             device.release()
             return
         with Path(self._source).open("rb") if self.is_file else nullcontext(self._source) as source:
-            decoder = Decoder(source, interval_s=self._interval_s)
+            self._decoder = decoder = Decoder(source, interval_s=self._interval_s)
         try:
             for frame in decoder.frames():
+                if self._closed.is_set():
+                    return
                 yield frame.timestamp, frame.pixels
         finally:
-            if complaint := decoder.close():
+            complaint = decoder.close()
+            if complaint and not self._closed.is_set():
                 say(f"the source: {complaint}")

@@ -1,12 +1,12 @@
 """What the bridge sends over HTTP: frames to a service, events to a webhook."""
 
 import base64
+import contextlib
 import http.client
-import io
 import json
 import socket
-import time
-from functools import partial
+import threading
+from collections.abc import Mapping
 from typing import Any
 from urllib.parse import SplitResult, unquote, urlencode
 
@@ -20,35 +20,6 @@ _FRAME_TIMEOUT_S, _EVENT_TIMEOUT_S = 20.0, 10.0
 _MAX_REPLY_BYTES = 16 * 2**20
 # Statuses after which the same event would be refused again.
 _REFUSED_AGAIN = (400, 405, 410, 413, 415, 422)
-
-
-class _TimedReader(io.RawIOBase):
-    """What a socket receives until a deadline, however slowly it comes."""
-
-    def __init__(self, received: io.RawIOBase, connection: socket.socket, deadline: float) -> None:
-        self._received, self._connection, self._deadline = received, connection, deadline
-
-    def readable(self) -> bool:
-        return True
-
-    def readinto(self, buffer: Any) -> int | None:
-        left_s = self._deadline - time.monotonic()
-        if left_s <= 0:
-            raise TimeoutError("the answer took too long")
-        self._connection.settimeout(left_s)
-        return self._received.readinto(buffer)
-
-    def close(self) -> None:
-        self._received.close()
-        super().close()
-
-
-class _TimedResponse(http.client.HTTPResponse):
-    """An answer, from its head on, that has to come until a deadline."""
-
-    def __init__(self, sock: socket.socket, *given: Any, deadline: float, **named: Any) -> None:
-        super().__init__(sock, *given, **named)
-        self.fp = io.BufferedReader(_TimedReader(self.fp.detach(), sock, deadline))
 
 
 class Connection:
@@ -77,21 +48,24 @@ class Connection:
 
         Raises ``UnavailableError`` if there is none, ``RefusedError`` for a status of 300 or more.
         """
-        connection = self._connection
-        if connection.sock:
-            connection.sock.settimeout(self._timeout_s)
+        connection, is_late = self._connection, threading.Event()
+        timer = threading.Timer(self._timeout_s, self._abort, [is_late])
+        timer.start()
         try:
             connection.request(method, target, body, self._headers | headers)
-            deadline = time.monotonic() + self._timeout_s
-            timed: Any = partial(_TimedResponse, deadline=deadline)
-            connection.response_class = timed
             response = connection.getresponse()
             content = response.read(self._max_bytes)
             if not response.isclosed():
                 self.close()  # The rest is not read.
+            if is_late.is_set():
+                raise TimeoutError
         except (OSError, http.client.HTTPException) as error:
             self.close()
-            raise UnavailableError(str(error) or type(error).__name__) from error
+            reason = str(error) or type(error).__name__
+            reason = "the answer took too long" if is_late.is_set() else reason
+            raise UnavailableError(reason) from error
+        finally:
+            timer.cancel()
         if response.status < 300:
             return response.headers, content
         try:
@@ -110,6 +84,12 @@ class Connection:
             float(after) if after.isdecimal() else wait_s,
         )
 
+    def _abort(self, is_late: threading.Event) -> None:
+        """End a connection on which an answer trickles, so that who reads it goes on."""
+        is_late.set()
+        with contextlib.suppress(OSError, AttributeError):
+            socket.socket.shutdown(self._connection.sock, socket.SHUT_RDWR)
+
     def close(self) -> None:
         """Close the connection; the next request opens another one."""
         self._connection.close()
@@ -118,8 +98,14 @@ class Connection:
 class Camera:
     """A camera session of a service; raises what :class:`Connection` does."""
 
-    def __init__(self, address: SplitResult, camera_id: str, api_key: str | None) -> None:
-        self.camera_id = camera_id
+    def __init__(
+        self,
+        address: SplitResult,
+        camera_id: str,
+        api_key: str | None,
+        configuration: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.camera_id, self._configuration = camera_id, configuration
         self._connection = Connection(address, _FRAME_TIMEOUT_S, _MAX_REPLY_BYTES)
         self._path = f"{address.path.rstrip('/')}/cameras/{camera_id}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
@@ -129,6 +115,12 @@ class Camera:
         encoded = cv2.imencode(".jpg", frame.pixels, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
         query = urlencode({"timestamp": f"{frame.timestamp:.4f}", "n": 1, "joints": "none"})
         return self._send("POST", f"/frames?{query}", "persons", encoded)
+
+    def configure(self) -> None:
+        """Set zones, optics and events, unless they are left to the service."""
+        if self._configuration is not None:
+            body = json.dumps(self._configuration).encode()
+            self._send("PUT", "", "zones", body)
 
     def settings(self) -> tuple[list[str], list[str]]:
         """Return the names of the camera's zones, and the events it raises; it has sent a frame."""
@@ -149,7 +141,8 @@ class Camera:
         self, method: str, path: str, expected: str, body: bytes | None = None
     ) -> tuple[bool, dict[str, Any]]:
         """Return whether the session is new, and an answer that has an expected field."""
-        headers = self._headers | ({"Content-Type": "image/jpeg"} if body else {})
+        kind = "image/jpeg" if method == "POST" else "application/json"
+        headers = self._headers | ({"Content-Type": kind} if body else {})
         answer, content = self._connection.request(method, self._path + path, body, headers)
         try:
             parsed = json.loads(content)

@@ -11,11 +11,10 @@ from pydantic import SecretStr
 from starlette.datastructures import Headers
 from starlette.types import Scope
 
+from app.configuration import CAMERA_PATTERN
 from app.http.errors import ProblemError
 
 CAMERA_HEADER = "X-Camera-ID"
-# A name must not be "." or "..", which have another meaning in a path.
-CAMERA_PATTERN = "^[A-Za-z0-9_-][A-Za-z0-9._-]{0,63}$"
 
 _CAMERA_PATTERN_BYTES = re.compile(CAMERA_PATTERN.encode())
 _FRAMES_PATH = re.compile("/cameras/([^/]+)/frames")

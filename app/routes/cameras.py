@@ -11,8 +11,15 @@ from starlette.types import Scope
 from app.api import tracking_schemas as schemas
 from app.api.replies import camera_reply, settings_from, tracked_fields
 from app.cameras import CameraKey, CameraSessions, Wanted
+from app.configuration import (
+    CAMERA_PATTERN,
+    MAX_CORNERS,
+    MAX_NAME_CHARACTERS,
+    MAX_ZONES,
+    CameraConfiguration,
+)
 from app.http.errors import ProblemError, invalid
-from app.http.identity import CAMERA_PATTERN, Identity, RequireKey, identity_of
+from app.http.identity import Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
 from app.routes.openapi import documented, documented_json
@@ -159,16 +166,16 @@ async def list_camera_events(request: Request, camera: Camera) -> schemas.Camera
 
 
 # The configuration is parsed here, after the key is checked, so that any error is one sentence.
-async def _read_configuration(request: Request) -> schemas.CameraConfiguration:
+async def _read_configuration(request: Request) -> CameraConfiguration:
     body = await request.body()
     # All corners of all zones, and commas in their names. They are counted before they are parsed,
     # which would keep all other clients waiting.
-    values = schemas.MAX_ZONES * (schemas.MAX_CORNERS + schemas.MAX_NAME_CHARACTERS)
+    values = MAX_ZONES * (MAX_CORNERS + MAX_NAME_CHARACTERS)
     if (count := body.count(b",")) > 2 * values:
-        most = f"at most {schemas.MAX_ZONES} zones of {schemas.MAX_CORNERS} corners"
+        most = f"at most {MAX_ZONES} zones of {MAX_CORNERS} corners"
         raise invalid("zones", f"expected {most}, got {count} values")
     try:
-        return schemas.CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
+        return CameraConfiguration.model_validate_json(body.removeprefix(BOM_UTF8))
     except ValidationError as error:
         place, sentence = located(error)
         detail = ": ".join(filter(None, (place, sentence)))
@@ -184,14 +191,14 @@ async def _read_configuration(request: Request) -> schemas.CameraConfiguration:
     openapi_extra={
         "requestBody": {
             "required": True,
-            "content": documented_json(schemas.CameraConfiguration),
+            "content": documented_json(CameraConfiguration),
         }
     },
 )
 async def configure_camera(
     request: Request,
     camera: Camera,
-    configuration: Annotated[schemas.CameraConfiguration, Depends(_read_configuration)],
+    configuration: Annotated[CameraConfiguration, Depends(_read_configuration)],
 ) -> schemas.CameraState:
     """Set zones, optics and events of a camera, whether or not it has sent frames.
 

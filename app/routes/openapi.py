@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from app.api import tracking_schemas as tracking
 from app.api.schemas import DeepstackUpload, FrameUpload, Problem
+from app.configuration import CameraConfiguration
 from app.http.errors import MEDIA_TYPE
 
 _FORMS = (FrameUpload, tracking.TrackUpload, tracking.VideoUpload, DeepstackUpload)
@@ -58,7 +59,7 @@ def add_openapi(app: FastAPI) -> None:
             components["headers"] = HEADERS
             for model in (
                 Problem,
-                tracking.CameraConfiguration,
+                CameraConfiguration,
                 tracking.SequenceResponse,
                 *_FORMS,
             ):
@@ -84,7 +85,7 @@ def _mend_schema(name: str, schema: dict[str, Any]) -> None:
     if name in {form.__name__ for form in _FORMS}:
         properties = {field: _form_field(value) for field, value in properties.items()}
         schema["properties"] = properties
-    if name == tracking.CameraConfiguration.__name__:
+    if name == CameraConfiguration.__name__:
         # openapi-typescript takes a field with a default for one that must be there.
         for value in properties.values():
             del value["default"]

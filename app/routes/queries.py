@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, FiniteFloat, 
 from app.api import schemas
 from app.api.replies import ReplyForm
 from app.api.tracking_schemas import LATEST_TIMESTAMP_S
+from app.configuration import FieldOfView, PixelAspect, Roll
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.http.errors import invalid
@@ -123,9 +124,9 @@ class EntryQuery(_Query):
 class _CameraQuery(_Query):
     """Query parameters of the camera that took a frame."""
 
-    fov_deg: Annotated[schemas.FieldOfView | None, NUMBER] = None
-    pixel_aspect: Annotated[schemas.PixelAspect | None, NUMBER] = None
-    roll_deg: Annotated[schemas.Roll | None, NUMBER] = None
+    fov_deg: Annotated[FieldOfView | None, NUMBER] = None
+    pixel_aspect: Annotated[PixelAspect | None, NUMBER] = None
+    roll_deg: Annotated[Roll | None, NUMBER] = None
 
     @property
     def optics(self) -> Optics:

@@ -12,9 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from app.configuration import EventName
 from app.networks.probabilities import ENDS_BELOW, MAX_STEP_S, Hysteresis
 from app.tracking.falls import FallWatch, Observation
-from app.tracking.results import Event, EventName
+from app.tracking.results import Event
 from index.posture import POSTURES
 
 

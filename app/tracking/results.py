@@ -1,17 +1,14 @@
 """Results of tracking for a frame: people with identities, smoothed poses, actions, events."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from app.configuration import EventName
 from app.estimation.results import Estimate, Person
 
-EventName = Literal[
-    "entered", "left", "zone_entered", "zone_left", "lying", "fell", "arms_raised", "obstructed"
-]
-EVENT_NAMES: tuple[EventName, ...] = get_args(EventName)
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
 

@@ -10,6 +10,7 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
+from app.configuration import EventName
 from app.estimation.posture import (
     LANDMARK_GROUPS,
     EstimatedPosture,
@@ -25,7 +26,7 @@ from app.tracking.falls import Observation
 from app.tracking.floor import Floor, Rest
 from app.tracking.last_estimate import LastEstimate
 from app.tracking.motion import Motion, MotionFilter, posture_in_motion
-from app.tracking.results import Event, EventName, RecognisedAction, SmoothedPose, TrackedPerson
+from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
 from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
 from app.tracking.zones import Zone, ZoneWatch, is_rest
 from app.vision.geometry import Box, PersonWindow

@@ -1,22 +1,16 @@
 """Zones of a camera's picture: which zones a person is in, enters and leaves."""
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from app.configuration import ZoneKind
 from app.tracking.results import Event
 from app.vision.geometry import Box
 from index.posture import ON_THE_GROUND, PostureName
-
-_MIN_SPREAD_PX = 0.5
-
-ZoneKind = Literal["rest", "watch"]
-"""``rest``: a bed or sofa, where lying is not an event; ``watch``: any other place of interest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +26,6 @@ class Zone:
     def __post_init__(self) -> None:
         if self.polygon.ndim != 2 or self.polygon.shape[1] != 2 or len(self.polygon) < 3:
             raise ValueError(f"expected a polygon of shape (P, 2), got {self.polygon.shape}")
-
-
-def has_area(polygon: NDArray[np.float64]) -> bool:
-    """Whether the corners ``(P, 2)`` are more than half a pixel away from a common line."""
-    spread = np.linalg.svd(polygon - polygon.mean(axis=0), compute_uv=False)[-1]
-    return bool(spread / math.sqrt(len(polygon)) > _MIN_SPREAD_PX)
 
 
 def crosses_itself(polygon: NDArray[np.float64]) -> bool:

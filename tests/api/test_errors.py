@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.tracking_schemas import MAX_CORNERS, MAX_ZONES
+from app.configuration import MAX_CORNERS, MAX_ZONES
 from tests.conftest import Photo, Serving, png
 from tests.support.service import check_problem
 

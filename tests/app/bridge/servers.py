@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-from app.tracking.results import EVENT_NAMES
+from app.configuration import EVENT_NAMES
 from tests.golden.answers import FOLDER
 from tests.support.ports import free_ports
 

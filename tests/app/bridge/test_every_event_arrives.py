@@ -252,10 +252,10 @@ def test_every_event_arrives_and_blindness_is_shown(
 
         # A full disk, while events wait for the broker.
         broker.stop(signal.SIGKILL)
-        printed, faults = len(bridge.events), bridge.logged("--queue")
+        printed, faults = len(bridge.events), bridge.logged("queue: ")
         with full(disk, bridge.process):
             eventually(lambda: len(bridge.events) > printed + 2, 60)
-            assert bridge.logged("--queue") == faults + 1
+            assert bridge.logged("queue: ") == faults + 1
         broker.start()
         eventually(lambda: bridge.logged("events are stored"), 60)
 

@@ -18,7 +18,7 @@ import app.bridge as common_module
 from app.bridge import home_assistant as module
 from app.bridge.home_assistant import HomeAssistant
 from app.bridge.outbox import Message, Outbox, deliver
-from app.tracking.results import EVENT_NAMES
+from app.configuration import EVENT_NAMES
 from tests.app.bridge.servers import event
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker, Subscriber
@@ -107,7 +107,7 @@ def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch
         topic for topic, payload in ward.subscriber.latest.items() if "/config" in topic and payload
     }
     assert {topic.split("/")[-2] for topic in discovered} == {
-        "events", "fell", "last_fall", "obstructed", "people", "zones_floor"
+        "events", "fell", "last_fall", "obstructed", "people", "posture", "zones_floor"
     }  # fmt: skip
     ward.home.hide()
     eventually(ward.shows(available="offline", people="None", **{"zones/floor": "None"}))

@@ -98,7 +98,7 @@ def test_what_a_full_disk_does_not_take_is_written_later(
         again.remove("webhook", oldest["id"])
     assert kept == [message(number) for number in (2, 3, 4, 5)]
     said = capsys.readouterr().err  # Also of the sources of other tests, which try again.
-    assert said.count("--queue: ") == 2  # When it begins, and when it ends.
+    assert said.count("queue: ") == 2  # When it begins, and when it ends.
 
 
 def test_the_oldest_goes_where_too_many_wait(monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

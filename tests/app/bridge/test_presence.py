@@ -8,7 +8,7 @@ import pytest
 
 from app.bridge.bridge import HELD_S, Bridge
 from app.bridge.outbox import Outbox
-from app.tracking.results import EVENT_NAMES
+from app.configuration import EVENT_NAMES
 from tests.app.bridge.servers import event
 
 Shown = tuple[int, Mapping[str, bool] | None]
@@ -33,7 +33,9 @@ class Watched:
         self.raised = raised
         self.outbox = Outbox("yard", ["webhook"])
         self._shown: list[Shown] = []
-        show = SimpleNamespace(show=lambda people, zones, **_: self._shown.append((people, zones)))
+        show = SimpleNamespace(
+            show=lambda people, zones, *_, **__: self._shown.append((people, zones))
+        )
         self._bridge = Bridge(Camera(raised), self.outbox, show)  # type: ignore[arg-type]
         self._bridge._read_settings()
 

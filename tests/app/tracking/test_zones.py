@@ -8,16 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from app.configuration import ZoneKind, has_area
 from app.tracking.results import Event
 from app.tracking.zones import (
     STAYS_FROM_S,
     Zone,
-    ZoneKind,
     ZoneWatch,
     contains,
     crosses_itself,
     distance,
-    has_area,
     place,
 )
 from app.vision.geometry import Box
