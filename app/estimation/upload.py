@@ -142,8 +142,11 @@ def _check_kind(name: str, given: object) -> None:
 def _check_list(name: str, given: object, kind: type) -> None:
     if given is None:
         return
-    is_list = isinstance(given, Sequence) and not isinstance(given, str)
-    if not is_list or not all(isinstance(one, kind) for one in given):
+    if (
+        not isinstance(given, Sequence)
+        or isinstance(given, str)
+        or not all(isinstance(one, kind) for one in given)
+    ):
         expected = "app.Box" if kind is Box else "strings"
         raise UploadError(name, f"{name}: expected a list of {expected}, got something else")
 
