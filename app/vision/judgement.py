@@ -116,7 +116,8 @@ class PhotographModels:
             box.width / box.height,
         )
         evidence = PostureEvidence(np.concatenate([shape, trusted]), region_features(given.sampled))
-        return body, self.trust.estimate(trusted), evidence
+        seen = np.concatenate([trusted, evidence.surroundings])
+        return body, self.trust.estimate(seen), evidence
 
 
 def load_photograph_models(path: Path | None = None) -> PhotographModels:
@@ -140,12 +141,13 @@ _LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _FACE = [LANDMARK_NAMES.index("nose"), *_EARS]
 
 
-_PEOPLE_SHARE = 6 / 7  # Share of the windows in training that show a person.
+PEOPLE_SHARE = 6 / 7
+"""Weight of the windows in training that show a person."""
 
 
 @dataclass(frozen=True)
 class TrustModel:
-    """Estimates how far to trust readings.
+    """Estimates how far to trust readings from :func:`trust_features` and :func:`region_features`.
 
     The network gives the log odds of a person, and of right landmarks where there is one.
     """
@@ -162,7 +164,7 @@ class TrustModel:
 
     def estimate(self, features: NDArray[np.float64]) -> Trust:
         person, right = self.probabilities(features[None])[0]
-        odds = logit(person, 1e-6) - log_odds(_PEOPLE_SHARE)
+        odds = logit(person, 1e-6) - log_odds(PEOPLE_SHARE)
         return Trust(probability_of(float(odds)), float(right))
 
 
@@ -251,13 +253,12 @@ _TRUNK, _LEGS = landmark_rows("shoulder", "hip"), landmark_rows("knee", "ankle")
 
 
 def region_features(sampled: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Means over the trunk and over the legs ``(2 C,)`` of a map at the landmarks ``(33, C)``.
+    """Means over the trunk and the legs ``(..., 2 C)`` of a map at the landmarks ``(..., 33, C)``.
 
     They show what surrounds a body, such as a seat, a blanket, or a table in front of the legs.
     """
-    return np.concatenate(
-        [sampled[rows].astype(np.float32).mean(axis=0) for rows in (_TRUNK, _LEGS)]
-    )
+    means = [sampled[..., rows, :].astype(np.float32).mean(axis=-2) for rows in (_TRUNK, _LEGS)]
+    return np.concatenate(means, axis=-1)
 
 
 _EXTENT = [*_SHOULDERS, *HIPS, *_KNEES, *_ANKLES, *_EARS]

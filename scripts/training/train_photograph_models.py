@@ -27,17 +27,31 @@ from app.vision.depth import (
     network_depths,
     sight_features,
 )
-from app.vision.judgement import TrustModel, trust_features
+from app.vision.judgement import (
+    PEOPLE_SHARE,
+    TrustModel,
+    load_photograph_models,
+    region_features,
+    trust_features,
+)
 from scripts.index.calibrate import expected_calibration_error
-from scripts.training.fit_dense import fit_dense, with_outputs
+from scripts.training.fit_dense import averaged, fit_dense, with_outputs
 from scripts.training.photograph_data import LIMBS, TrainingRows, WindowRows
 from scripts.training.render.people import MIRRORED
+from scripts.training.render_postures import PostureRows
 from scripts.training.shipping import record_hash
 
 FILE = FOLDER / "photograph_models.npz"
 
 TRUSTED_FROM = 0.5
 """Probability of right landmarks from which a reading counts for :func:`depth_moments`."""
+
+HARD_FROM, HARD = 0.3, 3.0
+"""The network's presence from which it takes a thing for a person, and how much more such windows
+count than others without people: detectors find few others."""
+
+BLANK = 0.4
+"""Share of the windows that trust sees once more with average surroundings, as postures do."""
 
 BLOCK = 4096
 """Windows corrected at a time."""
@@ -96,36 +110,110 @@ def depth_moments(
 
 
 def trust_inputs(rows: TrainingRows, depths: Depths) -> NDArray[np.float64]:
-    """Features of the trust network."""
-    return trust_features(rows.points, rows.world, rows.presence, rows.last, depths.sigmas)
+    """Features ``(N, F)`` of the trust network."""
+    features = trust_features(rows.points, rows.world, rows.presence, rows.last, depths.sigmas)
+    return np.hstack([features, region_features(rows.sampled)])
 
 
-def train_trust(rows: TrainingRows, depths: Depths, epochs: int, seed: int) -> DenseNetwork:
-    """Log odds of a person, and of right landmarks given a person."""
+def trust_weights(rows: TrainingRows) -> NDArray[np.float64]:
+    """How much each window ``(N,)`` counts for trust: people make up :data:`PEOPLE_SHARE`."""
+    weights = np.where(rows.person, 1.0, np.where(rows.presence > HARD_FROM, HARD, 1.0))
+    weights *= rows.decided
+    for some, share in ((rows.person, PEOPLE_SHARE), (~rows.person, 1 - PEOPLE_SHARE)):
+        weights[some] *= share / weights[some].sum()
+    return np.asarray(len(rows) * weights)
+
+
+def train_trust(
+    rows: TrainingRows,
+    depths: Depths,
+    epochs: int,
+    seed: int,
+    others: PostureRows | None = None,
+    initial: DenseNetwork | None = None,
+) -> DenseNetwork:
+    """Log odds of a person, and of right landmarks given a person.
+
+    Of others, who are hidden or in bad light, it is known that they are people, but not whether
+    their landmarks are right. An initial network is trained on.
+    """
     import torch
 
     def loss(outputs: Any, targets: Any) -> Any:
         each = torch.nn.functional.binary_cross_entropy_with_logits(
-            outputs, targets, reduction="none"
+            outputs, targets[:, :2], reduction="none"
         )
-        return each[:, 0].mean() + (each[:, 1] * targets[:, 0]).mean()
+        return (targets[:, 2:] * each).sum(dim=1).mean()
 
-    targets = np.column_stack([rows.person, rows.right]).astype(np.float32)
+    inputs, weights = trust_inputs(rows, depths)[rows.decided], trust_weights(rows)
+    targets = np.column_stack([rows.person, rows.right, weights, weights * rows.person])
+    targets, surroundings = targets[rows.decided], 2 * rows.sampled.shape[2]
+    if others is not None:
+        people = others.posture >= 0
+        body = others.body[people][:, surroundings - inputs.shape[1] :]
+        inputs = np.vstack([inputs, np.hstack([body, others.surroundings[people]])])
+        shown = targets[:, 0] > 0
+        targets[shown, 2] *= shown.sum() / (shown.sum() + len(body))
+        alike = [1.0, 0.0, float(targets[shown, 2].mean()), 0.0]
+        targets = np.vstack([targets, np.tile(alike, (len(body), 1))])
+    blank = np.random.default_rng(seed).random(len(inputs)) < BLANK
+    without = inputs[blank]
+    without[:, -surroundings:] = inputs[:, -surroundings:].mean(axis=0)
+    if initial is not None:
+        initial = _with_surroundings(initial, inputs)
     return fit_dense(
-        trust_inputs(rows, depths)[rows.decided], targets[rows.decided], 2, loss,
-        hidden=(32,), epochs=epochs, seed=seed, batch=64, dropout=0.2, noise=0.2, decay=0.1,
+        np.vstack([inputs, without]), np.vstack([targets, targets[blank]]), 2, loss,
+        hidden=(32,), epochs=epochs, seed=seed, dropout=0.4, noise=0.5, decay=0.1, initial=initial,
     )  # fmt: skip
+
+
+def _with_surroundings(network: DenseNetwork, inputs: NDArray[np.float64]) -> DenseNetwork:
+    """The same network for inputs ``(N, F)``, whose last columns it does not know."""
+    known = len(network.means)
+    rest = inputs[:, known:]
+    means = np.r_[network.means, rest.mean(axis=0)].astype(np.float32)
+    scales = np.r_[network.scales, np.maximum(rest.std(axis=0), 1e-4)].astype(np.float32)
+    first, *others = network.weights
+    padded = np.vstack([first, np.zeros((rest.shape[1], first.shape[1]), np.float32)])
+    return DenseNetwork(means, scales, (padded, *others), network.biases)
+
+
+def trust_trained_on(
+    shipped: Path,
+    train: TrainingRows,
+    held: TrainingRows,
+    others: PostureRows,
+    epochs: int,
+    seed: int,
+) -> DenseNetwork:
+    """The mean of a file's trust and of the same trained on with these windows.
+
+    The first knows ten times as many people, the second more kinds of things: their mean
+    distinguishes both kinds better than either.
+    """
+    models = load_photograph_models(shipped)
+    depths, found = (corrected(models.depth.network, rows) for rows in (train, held))
+    before = _with_surroundings(models.trust.network, trust_inputs(train, depths)[train.decided])
+    after = train_trust(train, depths, epochs, seed, others, before)
+    calibrates = held.scene % 2 == 0
+    after = calibrated(after, held, found, calibrates)
+    trust = averaged([before, after])
+    for name, one in (("before", before), ("trained on", after), ("mean", trust)):
+        given = TrustModel(one).probabilities(trust_inputs(held, found))
+        print(f"{name}: {trust_report(held, given, held.decided & ~calibrates)}", flush=True)
+    return trust
 
 
 def calibrated(
     trust: DenseNetwork, held: TrainingRows, depths: Depths, some: NDArray[np.bool_]
 ) -> DenseNetwork:
     """The same trust, its log odds fitted to the truth of some windows."""
-    odds, fits = trust(trust_inputs(held, depths)), []
+    odds, fits, weights = trust(trust_inputs(held, depths)), [], trust_weights(held)
     for column, (rows, truth) in enumerate(
         ((held.decided & some, held.person), (held.decided & some & held.person, held.right))
     ):
-        model = LogisticRegression(C=1e3).fit(odds[rows, column, None], truth[rows])
+        model = LogisticRegression(C=1e3)
+        model.fit(odds[rows, column, None], truth[rows], sample_weight=weights[rows])
         fits.append((float(model.coef_[0, 0]), float(model.intercept_[0])))
     factors, offsets = np.array(fits).T
     return with_outputs(trust, factors, offsets)
@@ -218,11 +306,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add("--epochs", type=int, default=20)
     add("--seed", type=int, default=0)
     add("--share", type=float, default=1.0, help="of the photographs, for a learning curve")
+    add("--others", type=Path, nargs="+", help="folders of render-postures: trains trust alone on")
     options = parser.parse_args(arguments)
     train = TrainingRows.of(WindowRows.read(options.train), options.seed)
     train = train.take(train.scene % 1000 < 1000 * options.share)
     held = TrainingRows.of(WindowRows.read([options.held_out]), options.seed + 1)
-    store(train_models(train, held, options.epochs, options.seed), options.out)
+    if options.others is None:
+        store(train_models(train, held, options.epochs, options.seed), options.out)
+        return
+    others = PostureRows.read(options.others)
+    trust = trust_trained_on(options.out, train, held, others, options.epochs, options.seed)
+    store(trust.arrays("trust"), options.out)
 
 
 def store(arrays: dict[str, Any], file: Path) -> None:
