@@ -333,9 +333,6 @@ def fit_poses(
     )
 
 
-_THREADS_PER_PASS = 2  # They share a pass over a whole frame with little loss; more do not.
-
-
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     """Threads of a pass over a whole frame, and copies of the network, that share the cores.
 
@@ -344,7 +341,8 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     >>> network_threads(cores=8, concurrency=8)
     (2, 4)
     """
-    threads = min(_THREADS_PER_PASS, cores)
+    # They share a pass over a whole frame with little loss; more do not.
+    threads = min(2, cores)
     return threads, max(1, min(concurrency, cores // threads))
 
 

@@ -23,9 +23,6 @@ from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, PoseIndex
 
-SIZE_SD = 0.1
-"""Standard deviation of the logarithm of a body's size, and so of its distance."""
-
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
     """Count the pixels of a frame down its columns, in turn outside and inside a silhouette.
@@ -207,7 +204,8 @@ def _position(hips: NDArray[np.float64] | None) -> schemas.Position | None:
     if hips is None:
         return None
     x, y, z = hips.tolist()
-    return schemas.Position(x=x, y=y, z=z, sd=SIZE_SD * float(np.linalg.norm(hips)))
+    # Standard deviation of the logarithm of a body's size, and so of its distance.
+    return schemas.Position(x=x, y=y, z=z, sd=0.1 * float(np.linalg.norm(hips)))
 
 
 def _silhouette(

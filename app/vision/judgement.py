@@ -140,9 +140,6 @@ _LIMBS = landmark_rows("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
 _FACE = [LANDMARK_NAMES.index("nose"), *_EARS]
 
 
-_PEOPLE_SHARE = 6 / 7  # Share of the windows in training that show a person.
-
-
 @dataclass(frozen=True)
 class TrustModel:
     """Estimates how far to trust readings.
@@ -162,7 +159,8 @@ class TrustModel:
 
     def estimate(self, features: NDArray[np.float64]) -> Trust:
         person, right = self.probabilities(features[None])[0]
-        odds = logit(person, 1e-6) - log_odds(_PEOPLE_SHARE)
+        # Share of the windows in training that show a person.
+        odds = logit(person, 1e-6) - log_odds(6 / 7)
         return Trust(probability_of(float(odds)), float(right))
 
 
@@ -236,14 +234,12 @@ class PostureModel:
         return FramePosture(sharpened(scores, np.array([right]), self.sharpness)[0])
 
 
-_MIN_RIGHT = 0.01  # The probability that landmarks are right is kept this far from 0 and 1.
-
-
 def sharpened(
     scores: NDArray[np.floating], right: NDArray[np.float64], sharpness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Probabilities ``(N, O)`` of scores, see :class:`PostureModel`."""
-    factors = np.exp(sharpness[0] + sharpness[1] * logit(right, _MIN_RIGHT))
+    # The probability that landmarks are right is kept this far from 0 and 1.
+    factors = np.exp(sharpness[0] + sharpness[1] * logit(right, 0.01))
     return softmax(scores * factors[:, None])
 
 
