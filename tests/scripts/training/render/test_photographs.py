@@ -1,15 +1,12 @@
 """Whole photographs of real motion and bodies: labels that hold, and the same ones by seed."""
 
-import re
 from dataclasses import fields
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.vision.judgement import FRAME_POSTURES
-from scripts.index.motion import MotionError
 from scripts.training.render.materials import Materials
 from scripts.training.render.people import MIRRORED, split_of
 from scripts.training.render.posing import HELD_OUT_SUBJECTS, classes_of
@@ -89,9 +86,3 @@ def test_held_out_clips_and_garments_are_apart() -> None:
     assert sorted(held + others) == names and held and others
     assert len(HELD_OUT_SUBJECTS) == 4
     assert_array_equal(MIRRORED[MIRRORED], np.arange(33))
-
-
-def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    pytest.importorskip("anny")
-    with pytest.raises(MotionError, match=re.escape(str(tmp_path))):
-        Studio.open(tmp_path, SHARED / "garments", 1, 1, held_out=False)
