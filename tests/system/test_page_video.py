@@ -55,12 +55,12 @@ def answer(number: int, timestamp: float) -> Answer:
 
 
 class Cameras:
-    """Camera sessions that refuse one request."""
+    """Camera sessions."""
 
-    def __init__(self, page: Any, busy_at: int = -1) -> None:
+    def __init__(self, page: Any) -> None:
         self.requests: list[Any] = []
         self.forgotten: list[str] = []
-        self._busy_at, self._frames = busy_at, 0
+        self._frames = 0
         page.route("**/cameras/**", self._handle)
 
     def _handle(self, route: Any) -> None:
@@ -70,10 +70,6 @@ class Cameras:
             route.fulfill(status=204)
             return
         self.requests.append(request)
-        if len(self.requests) - 1 == self._busy_at:
-            retry = {"Retry-After": "1"}
-            route.fulfill(status=503, headers=retry, json={"detail": "not now"})
-            return
         session = "warm" if self._frames else "new"
         content = answer(self._frames, self.timestamps()[-1])
         self._frames += 1
