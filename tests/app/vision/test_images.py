@@ -278,3 +278,16 @@ def test_range_of_16_bits_that_is_used_is_stretched(low: int, high: int) -> None
 def test_dark_pictures_say_so() -> None:
     for dark in (photograph() // 16, np.zeros((5, 3, 3), np.uint8), np.full((9, 9), 30, np.uint16)):
         assert decode_image(encode(dark), max_pixels=LIMIT).warnings == ("dark",)
+
+
+def test_half_transparent_colours_are_mixed_with_grey() -> None:
+    half = np.dstack([quadrants(), np.full((40, 60), 128, np.uint8)])
+    mixed = decode_image(encode(half), max_pixels=LIMIT).pixels.astype(int)
+    assert np.abs(mixed - (quadrants().astype(int) + 128) / 2).max() <= 2
+
+
+def test_jpeg_without_its_end_marker_is_read() -> None:
+    data = encode(photograph(), ".jpg")
+    whole, cut = (decode_image(one, max_pixels=LIMIT) for one in (data, data[:-2]))
+    assert (cut.pixels == whole.pixels).all()
+    assert cut.warnings == ()
