@@ -59,15 +59,6 @@ def test_the_nearer_triangle_is_shown() -> None:
     assert nearness[5, 0] == pytest.approx(share + (1 - share) / 3, rel=1e-3)
 
 
-def test_triangles_behind_the_camera_are_left_out() -> None:
-    plane = np.array([[0, 0], [20, 0], [0, 20]], np.float32)
-    nearness, shares = np.zeros((20, 20), np.float32), np.zeros((20, 20, 2), np.float32)
-    shown = np.full((20, 20), NOTHING, np.int32)
-    depths = np.array([1, -1, 1], np.float32)
-    rasterise(plane, depths, np.array([[0, 1, 2]], np.int32), 0.1, nearness, shown, shares)
-    assert (shown == NOTHING).all()
-
-
 @given(SEEDS)
 def test_rooms_hold_who_is_in_them(seed: int) -> None:
     places = np.random.default_rng(seed).uniform([-2, 0.5, -2], [2, 4.5, 2], (3, 3))
