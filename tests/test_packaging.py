@@ -95,9 +95,7 @@ def test_the_bridge_is_run_as_it_expects(file: str, pattern: str) -> None:
     ended = run(sys.executable, "-m", "app.bridge", *arguments, WATCH_SOURCE="rtsp://camera")
     # The folder of its queue is only there.
     assert (ended.returncode, ended.stdout) == (1, "")
-    assert ended.stderr.startswith(
-        "silhouette-pose-watch: --queue: expected a file for events, got "
-    )
+    assert ended.stderr.startswith("silhouette-pose-watch: queue: expected a file for events, got ")
 
 
 def test_what_was_tested_is_what_is_installed() -> None:

@@ -1,7 +1,6 @@
 """Videos and the webcam on the debug page: a camera session, played and shown over time."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -56,12 +55,12 @@ def answer(number: int, timestamp: float) -> Answer:
 
 
 class Cameras:
-    """Camera sessions that refuse one request."""
+    """Camera sessions."""
 
-    def __init__(self, page: Any, busy_at: int = -1) -> None:
+    def __init__(self, page: Any) -> None:
         self.requests: list[Any] = []
         self.forgotten: list[str] = []
-        self._busy_at, self._frames = busy_at, 0
+        self._frames = 0
         page.route("**/cameras/**", self._handle)
 
     def _handle(self, route: Any) -> None:
@@ -71,10 +70,6 @@ class Cameras:
             route.fulfill(status=204)
             return
         self.requests.append(request)
-        if len(self.requests) - 1 == self._busy_at:
-            retry = {"Retry-After": "1"}
-            route.fulfill(status=503, headers=retry, json={"detail": "not now"})
-            return
         session = "warm" if self._frames else "new"
         content = answer(self._frames, self.timestamps()[-1])
         self._frames += 1
@@ -127,17 +122,6 @@ def test_people_events_and_postures_are_shown(page: Any, clip: str) -> None:
     assert "walking" in legend
     assert "fell" in legend
     assert "sitting" not in legend
-
-
-def test_a_frame_is_sent_again_to_a_busy_service(page: Any, clip: str) -> None:
-    cameras = Cameras(page, busy_at=3)
-    page.set_input_files("#file", clip)
-    page.get_by_text("Not now. Trying again").wait_for()
-    page.get_by_text("The end, after").wait_for()
-    times = cameras.timestamps()
-    assert times[4] - times[3] < 0.5
-    assert page.locator("#note").is_hidden()
-    assert page.locator("#message").is_hidden()
 
 
 def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Path) -> None:
@@ -213,21 +197,3 @@ def walkers(tmp_path: Path, name: str = "walkers.webm", codec: str = "libvpx") -
     frame = cv2.imread(str(WALKERS))
     write_video(tmp_path / name, [frame] * 20, codec=codec)
     return str(tmp_path / name)
-
-
-def wait_for_cameras(server: Server, wanted: Callable[[list[str]], bool], page: Any) -> None:
-    for _ in range(100):
-        listed = httpx.get(f"{server.url}/cameras").json()["cameras"]
-        if wanted([camera["camera_id"] for camera in listed]):
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError(f"expected other cameras, got {listed}")
-
-
-def test_closing_the_page_ends_the_session(page: Any, server: Server, tmp_path: Path) -> None:
-    page.set_input_files("#file", walkers(tmp_path))
-    page.locator("#crowd tr").first.wait_for()
-    assert page.locator("#message").is_hidden()
-    wait_for_cameras(server, lambda names: [name[:5] for name in names] == ["page-"], page)
-    page.goto("about:blank")
-    wait_for_cameras(server, lambda names: not names, page)
