@@ -176,7 +176,9 @@ class HomeAssistant:
         """Withdraw entities by the topics of their states."""
         for config, topic in self._entities.items():
             if is_meant(topic):
-                self._state[config] = self._state[topic] = ""
+                self._state[config] = ""
+                if topic != self._events:  # Which are not retained.
+                    self._state[topic] = ""
 
     def keep(self) -> None:
         """Publish what has changed; the camera is offline if no frame was answered for too long."""
@@ -207,7 +209,7 @@ class HomeAssistant:
         with self._changed:
             self._state[self._available] = "offline"
             for topic in self._entities.values():
-                if topic not in self._lasting and self._state.get(topic) != "":
+                if topic not in self._lasting and self._state.get(topic):
                     self._state[topic] = _UNKNOWN
 
     def withdraw(self) -> None:

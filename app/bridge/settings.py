@@ -55,8 +55,8 @@ def _listed(given: object) -> Sequence[object]:
     return given if isinstance(given, list | tuple) else () if given is None else [given]
 
 
-_Web = Annotated[SplitResult, _address("http", "https")]
-_Broker = Annotated[SplitResult | None, _address("mqtt", "mqtts")]
+_Web = Annotated[SplitResult, NoDecode, _address("http", "https")]
+_Broker = Annotated[SplitResult | None, NoDecode, _address("mqtt", "mqtts")]
 
 
 class Camera(CameraConfiguration):
