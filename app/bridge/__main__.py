@@ -109,8 +109,9 @@ def _reader(arguments: Sequence[str] | None) -> tuple[Callable[[], Settings], bo
 
 def _option(steps: Steps) -> str:
     """Name the argument that steps in the settings come from."""
-    name = str(steps[-1] if steps[0] == "cameras" else steps[0]).replace("_", "-")
-    return name if name == "source" else "camera_id" if len(steps) == 2 else f"--{name}"
+    if steps[0] == "cameras" and steps[-1] != "fps":
+        return "source" if steps[-1] == "source" else "camera_id"
+    return f"--{'fps' if steps[0] == 'cameras' else steps[0]}".replace("_", "-")
 
 
 if __name__ == "__main__":
