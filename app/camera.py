@@ -19,6 +19,7 @@ from app.scheduling.job import Job
 from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
+from app.tracking.replay import Recorder
 from app.tracking.results import Event, EventState, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
 from app.tracking.zones import Zone, is_outside
@@ -30,8 +31,8 @@ from app.vision.same_person import colours_of
 from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES
 
-TRACK_BYTES = 130_000
-"""Memory of a track that is a few seconds long, without the outline; a test measures it."""
+TRACK_BYTES = 145_000
+"""Memory of a track that is a few seconds long, without the outline; 15 kB are for replays."""
 
 # After a longer gap the scene may be another one.
 _MAX_GAP_S = 10.0
@@ -104,6 +105,7 @@ class CameraSession:
         self._clock = clock
         self._detector = TrackedPeopleDetector(estimator.finder)
         self._view, self._floor = View(), Floor()
+        self._recorder = Recorder()
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -235,7 +237,12 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reset, self._reset = self._reset, None
-        events, self._events = tuple(self._events), []
+        events, self._events = self._events, []
+        self._recorder.add(timestamp, {one.track_id: one for one in persons})
+        for number, event in enumerate(events):
+            if event.track_id is not None:
+                replay = self._recorder.begin(event.track_id, timestamp, shown.frame.shape)
+                events[number] = replace(event, replay=replay)
         obstructed: tuple[ImageWarning, ...] = ("obstructed",) if self._view.blocked.holds else ()
         return TrackedFrame(
             frame=shown.frame,
@@ -246,7 +253,7 @@ class CameraSession:
             session="new" if self._frames == 1 else "warm",
             reset=reset,
             persons=persons,
-            events=events,
+            events=tuple(events),
             timings_ms=job.timings_ms(),
         )
 

@@ -125,7 +125,7 @@ def _check_kind(name: str, given: object) -> None:
     )
 
 
-def _check_list(name: str, given: object, kind: type) -> None:
+def _check_list(name: str, given: Any, kind: type) -> None:
     if given is None:
         return
     if (

@@ -12,6 +12,7 @@ import pytest
 
 from index.skeleton import NATIVE
 from tests.conftest import WALKERS, Server
+from tests.support.programs import run
 from tests.support.videos import numbered_frames, write_video
 from tests.system.test_page import overflows
 
@@ -78,6 +79,16 @@ class Cameras:
     def timestamps(self) -> list[float]:
         queries = [parse_qs(urlsplit(request.url).query) for request in self.requests]
         return [float(query["timestamp"][0]) for query in queries]
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The script of axe-core, which finds what people with disabilities cannot use."""
+    folder = tmp_path_factory.mktemp("axe")
+    installed = run("npm", "install", "--no-audit", "--no-fund", "axe-core@4", cwd=folder)
+    if installed.returncode != 0:
+        pytest.skip(f"npm install failed: {installed.stderr.strip()[-200:]}")
+    return (folder / "node_modules/axe-core/axe.min.js").read_text()
 
 
 @pytest.fixture
@@ -155,6 +166,18 @@ def draw_zone(page: Any, corners: list[tuple[float, float]], name: str) -> None:
     page.locator("#zone-name").fill(name)
 
 
+def draw_zone_by_keys(page: Any, steps: int, name: str) -> None:
+    """Set the corners of a square about the middle of the picture, then the first one again."""
+    page.get_by_role("button", name="Draw a zone").press("Enter")
+    moves = ["Left Up", "Right Right", "Down Down", "Left Left", "Up Up"]
+    for corner in moves:
+        for direction in corner.split():
+            for _ in range(steps):
+                page.keyboard.press(f"Arrow{direction}")
+        page.keyboard.press("Enter")
+    page.keyboard.type(name)
+
+
 CORNERS = [(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)]
 
 
@@ -180,6 +203,30 @@ def test_a_zone_is_drawn_with_the_mouse_and_set_for_the_camera(
     assert "curl -X PUT" in page.locator("#zones-command").text_content()
     page.get_by_role("button", name="Remove the zone yard").click()
     page.locator("#zones li").wait_for(state="detached")
+
+
+def test_a_zone_is_drawn_without_a_mouse(page: Any, tmp_path: Path) -> None:
+    page.set_input_files("#file", walkers(tmp_path))
+    page.locator("#crowd tr").first.wait_for()
+    with page.expect_request(lambda request: request.method == "PUT") as sent:
+        draw_zone_by_keys(page, 4, "yard")
+        page.keyboard.press("Enter")
+    page.locator("#zones li").get_by_text("yard").wait_for()
+    (zone,) = sent.value.post_data_json["zones"]
+    corners, (height, width) = np.array(zone["polygon"]), cv2.imread(str(WALKERS)).shape[:2]
+    assert np.allclose(corners.mean(axis=0), [width / 2, height / 2], atol=1)
+    side = np.ptp(corners, axis=0)
+    assert len(corners) == 4 and side[0] == pytest.approx(side[1], abs=1) and side[0] > 20
+
+
+def test_axe_finds_nothing(page: Any, clip: str, axe: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    page.get_by_role("button", name="Draw a zone").click()
+    page.locator("#events li").wait_for()
+    page.evaluate(axe)
+    violations = page.evaluate("axe.run()")["violations"]
+    assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in violations] == []
 
 
 def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:
