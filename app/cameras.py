@@ -92,10 +92,14 @@ _NO_SETTINGS = CameraSettings()
 
 
 class Wanted(NamedTuple):
-    """Hypotheses of each person, and what they are estimated from."""
+    """Hypotheses of each person, what they are estimated from, and whether silhouettes are drawn.
+
+    See :meth:`app.camera.CameraSession.process`.
+    """
 
     n: int
     evidence: Evidence = "photograph"
+    drawn: bool = True
 
 
 class SessionLimits(NamedTuple):
@@ -211,7 +215,13 @@ class CameraSessions:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
             frame = opened.session.process(
-                settings.of(upload), timestamp, wanted.n, job, wanted.evidence, settings.zones
+                settings.of(upload),
+                timestamp,
+                wanted.n,
+                job,
+                wanted.evidence,
+                settings.zones,
+                drawn=wanted.drawn,
             )
             raised = tuple(one for one in frame.events if one.event in settings.events)
             frame = replace(frame, events=raised)

@@ -20,7 +20,7 @@ from app.tracking.following import (
     EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
-    UNCHANGED_SEARCH_EVERY_S,
+    CALM_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
@@ -59,7 +59,7 @@ def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
         for tracked, left in zip(result.persons, lefts, strict=True):
             assert tracked.silhouette is not None and tracked.landmarks is not None
             assert tracked.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
-    assert detector.searches == 1 + 1 // UNCHANGED_SEARCH_EVERY_S
+    assert detector.searches == 1 + 1 // CALM_SEARCH_EVERY_S
 
 
 def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
@@ -239,7 +239,7 @@ def test_a_still_scene_is_searched_rarely(
 def test_while_nothing_changes_around_a_walker_searches_are_rarer(
     session: CameraSession, detector: ColourDetector, flicker: int
 ) -> None:
-    every = SEARCH_EVERY_S if flicker else UNCHANGED_SEARCH_EVERY_S
+    every = SEARCH_EVERY_S if flicker else CALM_SEARCH_EVERY_S
     times = [0.201 * step for step in range(9)]
     for step, time in enumerate(times):
         send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))
