@@ -349,7 +349,7 @@ class PeopleFinder:
 def _moved(body: _Body, bodies: Sequence[_Body], frame_shape: tuple[int, ...]) -> Silhouette | None:
     """The silhouette of a body as drawn last, if it moves along; None if it has to be drawn."""
     drawn, reading = body.target.drawn, body.reading
-    if drawn is None or reading is None:
+    if drawn is None or reading is None or not reading.trust.is_right:
         return None
     if any(body.box.intersection(other.box) for other in bodies if other is not body):
         return None

@@ -38,6 +38,10 @@ LOOK_EVERY_S = 0.2
 are exchanged stay so for too long: a balancing person, camera 2 of Pose2Sim at 30 frames a second,
 is read with 105 instead of 95 mm."""
 
+DRAWN_EVERY_S = 0.4
+"""Time between two silhouettes of such a person, and between two matches of them, unless every one
+is wanted or the body changes its shape."""
+
 CALM_SEARCH_EVERY_S = 0.8
 """The same if all of them are read surely, so that a search only finds new people, or if nothing
 has changed around them since the last search, so that it only checks them."""
@@ -81,7 +85,7 @@ class TrackedPeopleDetector:
     ) -> tuple[list[Person], dict[int, Track]]:
         """Find the people of a frame with their silhouettes and landmarks, given all tracks.
 
-        Unless every silhouette is to be ``drawn``, those of the last look move along.
+        Unless every silhouette is to be ``drawn``, some move along with the landmarks.
 
         Returns
         -------
@@ -213,11 +217,12 @@ class TrackedPeopleDetector:
         place = Detection(track.box_filter.predict(timestamp), track.score)
         # That trust wavers is no reason to read other windows.
         least_trust = _LOST_TRUST if track.trusted else 0.0
+        is_new = timestamp - track.drawn_at < DRAWN_EVERY_S
+        drawn = track.drawn if is_new and not self._draws_all else None
         if timestamp - self._looked_at[track] < LOOK_EVERY_S:
-            drawn = None if self._draws_all else track.drawn
             return Target(place, window, True, least_trust, track.seen_keypoints, drawn)
         self._looked_at[track] = timestamp
-        return Target(place, window, True, least_trust)
+        return Target(place, window, True, least_trust, drawn=drawn)
 
 
 class _Wanted(NamedTuple):
