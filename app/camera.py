@@ -139,9 +139,9 @@ class CameraSession:
         landmarks are matched; everything else is the same as for other ``n``. The timestamp is in
         seconds; without one, the session's clock gives the time since the frame before. If the job
         raises, the next frame reports the events of this one. Zones may change between frames;
-        ``evidence`` is that of :meth:`app.photograph.Estimator.estimate`. Unless silhouettes are to be ``drawn`` in every
-        frame, that of a person who is surely read is drawn and matched every 0.4 s; in between, it
-        and the hypotheses move along with the landmarks.
+        ``evidence`` is that of :meth:`app.photograph.Estimator.estimate`. Unless silhouettes are to
+        be ``drawn`` in every frame, that of a person who is surely read is drawn and matched every
+        0.4 s; in between, it and the hypotheses move along with the landmarks.
 
         Raises
         ------
