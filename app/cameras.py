@@ -98,10 +98,14 @@ _NO_SETTINGS = CameraSettings()
 
 
 class Wanted(NamedTuple):
-    """Hypotheses of each person, and what they are estimated from."""
+    """Hypotheses of each person, what they are estimated from, and whether silhouettes are drawn.
+
+    See :meth:`app.camera.CameraSession.process`.
+    """
 
     n: int
     evidence: Evidence = "photograph"
+    drawn: bool = True
 
 
 class SessionLimits(NamedTuple):
@@ -223,7 +227,13 @@ class CameraSessions:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
             frame = opened.session.process(
-                settings.of(upload), timestamp, wanted.n, job, wanted.evidence, settings.zones
+                settings.of(upload),
+                timestamp,
+                wanted.n,
+                job,
+                wanted.evidence,
+                settings.zones,
+                drawn=wanted.drawn,
             )
             raised = tuple(
                 replace(one, id=_id_of(one, key))

@@ -50,6 +50,7 @@ from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
     moved_in_depth,
+    rotate_clockwise,
 )
 from index.store import PoseIndex
 
@@ -89,6 +90,31 @@ def match_landmarks(
     weights = LANDMARK_CONFIDENCE.weights(confidences).tolist()
     hypotheses = ranked(found[: max(n, DEFAULT_HYPOTHESES)], weights)
     return Match(hypotheses, front_probability, voters, votes_of(voters))
+
+
+def moved_along(found: Match, landmarks: NormalisedLandmarks, roll_deg: float) -> Match:
+    """The hypotheses found in an earlier frame, fitted to the landmarks of a later one.
+
+    Both are in the normalised frame of the earlier one, with ``roll_deg`` as for
+    :func:`match_landmarks`. The first at other depths keeps its distances in depth.
+    """
+    first = found.hypotheses[0]
+    own = [one for one in found.hypotheses if not one.in_depth]
+    points_3d, placed = fit_to_landmarks(
+        landmarks,
+        rotate_clockwise(np.array([one.points_3d for one in own]), roll_deg),
+        np.array([one.points_normalised for one in own]),
+    )
+    points_3d = rotate_clockwise(points_3d, -roll_deg)
+    fitted = iter(zip(points_3d, placed, strict=True))
+    moved = []
+    for one in found.hypotheses:
+        if one.in_depth:
+            points = points_3d[0] + one.points_3d - first.points_3d, placed[0]
+        else:
+            points = next(fitted)
+        moved.append(replace(one, points_3d=points[0], points_normalised=points[1]))
+    return replace(found, hypotheses=moved)
 
 
 def _first_batch(

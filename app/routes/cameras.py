@@ -110,7 +110,8 @@ async def track_frame(
     timestamp = given[0] if given else None
 
     def work(job: Job) -> bytes:
-        wanted = Wanted(hypotheses_of(query), query.evidence)
+        drawn = query.silhouettes != "none"
+        wanted = Wanted(hypotheses_of(query), query.evidence, drawn)
         tracked = sessions.process(camera, estimator, upload, timestamp, job, wanted)
         _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
