@@ -28,7 +28,7 @@ ENV HOST=0.0.0.0 \
     PYTHONUNBUFFERED=1
 COPY --from=build /srv/.venv /srv/.venv
 WORKDIR /srv
-# For the queue of the bridge of a camera, which compose.yaml runs from the same image.
+# For the queue of the bridge, which compose.yaml runs from the same image.
 RUN install --directory --owner=10001 --group=10001 /queue
 USER 10001:10001
 EXPOSE 8000

@@ -33,7 +33,7 @@ test: $(DEV)/.stamp
 coverage: $(DEV)/.stamp
 	$(DEV)/bin/python -m pytest -q -n 2 --dist loadfile --cov $(ARGS)
 
-# Also what is slow, and what needs an extra (torch, Milvus), ../shared, Chromium, Node.js or Java;
+# Also what is slow, and what needs an extra (torch, Milvus), ../shared or Chromium;
 # -rs says which of them are missing.
 test-all: $(BUILD)/.stamp
 	$(BUILD)/bin/python -m pytest -q -rs -m "slow or not slow" $(ARGS)

@@ -19,6 +19,7 @@ from app.scheduling.job import Job
 from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
 from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
+from app.tracking.replay import Recorder
 from app.tracking.results import Event, EventState, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
 from app.tracking.zones import Zone, is_outside
@@ -30,8 +31,8 @@ from app.vision.same_person import colours_of
 from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES
 
-TRACK_BYTES = 130_000
-"""Memory of a track that is a few seconds long, without the outline; a test measures it."""
+TRACK_BYTES = 145_000
+"""Memory of a track that is a few seconds long, without the outline; 15 kB are for replays."""
 
 # After a longer gap the scene may be another one.
 _MAX_GAP_S = 10.0
@@ -104,6 +105,7 @@ class CameraSession:
         self._clock = clock
         self._detector = TrackedPeopleDetector(estimator.finder)
         self._view, self._floor = View(), Floor()
+        self._recorder = Recorder()
         self._tracks: list[Track] = []
         self._given_ids = 0
         self._frames = 0
@@ -130,6 +132,8 @@ class CameraSession:
         job: Job | None = None,
         evidence: Evidence = "photograph",
         zones: Sequence[Zone] = (),
+        *,
+        drawn: bool = True,
     ) -> TrackedFrame:
         """Find the people of a frame, identify them, and estimate ``n`` hypotheses of their poses.
 
@@ -137,8 +141,9 @@ class CameraSession:
         landmarks are matched; everything else is the same as for other ``n``. The timestamp is in
         seconds; without one, the session's clock gives the time since the frame before. If the job
         raises, the next frame reports the events of this one. Zones may change between frames;
-        ``evidence`` is that of
-        :meth:`app.photograph.Estimator.estimate`.
+        ``evidence`` is that of :meth:`app.photograph.Estimator.estimate`. Unless silhouettes are to
+        be ``drawn`` in every frame, that of a person who is surely read is drawn and matched every
+        0.4 s; in between, it and the hypotheses move along with the landmarks.
 
         Raises
         ------
@@ -166,7 +171,7 @@ class CameraSession:
             self._asked = n, upload.optics
             for track in self._tracks:
                 track.last_estimate.forget()
-        people, in_window = self._find(decoded, evidence, timestamp, job)
+        people, in_window = self._find(decoded, evidence, timestamp, job, drawn=drawn)
         if decoded.has_frame:
             people = [_with_looks(person, frame) for person in people]
         if upload.track_ids is None:
@@ -235,7 +240,12 @@ class CameraSession:
         self._timestamp, self._arrived = timestamp, arrived
         self._frames += 1
         reset, self._reset = self._reset, None
-        events, self._events = tuple(self._events), []
+        events, self._events = self._events, []
+        self._recorder.add(timestamp, {one.track_id: one for one in persons})
+        for number, event in enumerate(events):
+            if event.track_id is not None:
+                replay = self._recorder.begin(event.track_id, timestamp, shown.frame.shape)
+                events[number] = replace(event, replay=replay)
         obstructed: tuple[ImageWarning, ...] = ("obstructed",) if self._view.blocked.holds else ()
         return TrackedFrame(
             frame=shown.frame,
@@ -246,7 +256,7 @@ class CameraSession:
             session="new" if self._frames == 1 else "warm",
             reset=reset,
             persons=persons,
-            events=events,
+            events=tuple(events),
             timings_ms=job.timings_ms(),
         )
 
@@ -303,7 +313,7 @@ class CameraSession:
         self._tracks = []
 
     def _find(
-        self, decoded: DecodedUpload, evidence: Evidence, timestamp: float, job: Job
+        self, decoded: DecodedUpload, evidence: Evidence, timestamp: float, job: Job, *, drawn: bool
     ) -> tuple[list[Person], dict[int, Track]]:
         """Find people, in the windows of tracks as well unless the caller marks the people.
 
@@ -312,7 +322,9 @@ class CameraSession:
         shown = decoded.mask, decoded.boxes, decoded.background
         reads = decoded.has_frame and evidence == "photograph"
         if reads and all(one is None for one in shown):
-            people, in_window = self._detector.find(decoded, timestamp, self._tracks, job)
+            people, in_window = self._detector.find(
+                decoded, timestamp, self._tracks, job, drawn=drawn
+            )
             self._watch(timestamp, decoded.frame.shape, people)
             return people, in_window
         return self._estimator.finder.find(decoded, evidence, job), {}
@@ -422,7 +434,11 @@ class CameraSession:
         """Estimate the poses of people with a silhouette, and update their tracks."""
         # Unchanged people have their hypotheses already.
         fits = [not person.hypotheses and (n > 0 or person.landmarks is None) for person, _ in seen]
-        wanted = [person for (person, _), one in zip(seen, fits, strict=True) if one]
+        wanted = [
+            replace(person, matched=track.last_estimate.matched) if person.moved_along else person
+            for (person, track), one in zip(seen, fits, strict=True)
+            if one
+        ]
         count = max(n, DEFAULT_HYPOTHESES)
         fitted = iter(self._estimator.fit(wanted, upload.camera, count, job))
         self._floor.watch(upload.camera)
@@ -463,6 +479,6 @@ def _with_looks(person: Person, frame: Frame) -> Person:
     """A person with the picture of their place and the colours of their clothes."""
     if person.patch is not None:
         return person  # It is unchanged.
-    silhouette = person.silhouette
+    silhouette = None if person.moved_along else person.silhouette
     colours = None if silhouette is None else colours_of(frame, silhouette)
     return replace(person, patch=Patch.of(frame, person.box), colours=colours)

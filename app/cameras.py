@@ -1,7 +1,9 @@
 """The cameras of a service: their settings, and sessions within limits of number and memory."""
 
+import json
 import threading
 import time
+import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -45,6 +47,10 @@ class NoSessionsError(ValueError):
 
 class UnknownCameraError(KeyError):
     """A camera has neither a session nor settings; the argument is its name."""
+
+
+class UnknownEventError(KeyError):
+    """A camera lists no such event, or one that concerns no person; the argument is its id."""
 
 
 class TooManyCamerasError(ValueError):
@@ -92,10 +98,14 @@ _NO_SETTINGS = CameraSettings()
 
 
 class Wanted(NamedTuple):
-    """Hypotheses of each person, and what they are estimated from."""
+    """Hypotheses of each person, what they are estimated from, and whether silhouettes are drawn.
+
+    See :meth:`app.camera.CameraSession.process`.
+    """
 
     n: int
     evidence: Evidence = "photograph"
+    drawn: bool = True
 
 
 class SessionLimits(NamedTuple):
@@ -113,6 +123,12 @@ class CameraSummary:
     camera_id: str
     settings: CameraSettings
     session: SessionSummary | None
+
+
+def _id_of(event: Event, key: CameraKey) -> str:
+    """The id of an event, the same whenever it is listed; no other event of any camera has it."""
+    facts = event.event, event.state, event.track_id, event.zones, event.timestamp
+    return str(uuid.uuid5(uuid.NAMESPACE_OID, json.dumps([key.camera_id, *facts])))
 
 
 class _OpenSession:
@@ -211,9 +227,19 @@ class CameraSessions:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
             frame = opened.session.process(
-                settings.of(upload), timestamp, wanted.n, job, wanted.evidence, settings.zones
+                settings.of(upload),
+                timestamp,
+                wanted.n,
+                job,
+                wanted.evidence,
+                settings.zones,
+                drawn=wanted.drawn,
             )
-            raised = tuple(one for one in frame.events if one.event in settings.events)
+            raised = tuple(
+                replace(one, id=_id_of(one, key))
+                for one in frame.events
+                if one.event in settings.events
+            )
             frame = replace(frame, events=raised)
             with self._lock:
                 opened.note(frame, self._clock())
@@ -276,6 +302,16 @@ class CameraSessions:
         with self._lock:
             self._check_known(key)
             return tuple(self._events.get(key, ()))
+
+    def replay(self, key: CameraKey, event_id: str) -> tuple[Event, tuple[Zone, ...]]:
+        """Return an event with its replay, which may still grow, and the camera's zones.
+
+        Raises UnknownEventError if there is none, or as `summary` does.
+        """
+        for event in self.events(key):
+            if event.id == event_id and event.replay is not None and event.replay.moments:
+                return event, self._settings_of(key).zones
+        raise UnknownEventError(event_id)
 
     def count_dropped(self, key: CameraKey, reason: str) -> None:
         """Count a refused frame of a camera, if it has a session."""

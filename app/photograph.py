@@ -14,7 +14,14 @@ from app.decoding.pictures import Workers
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, check_bodies, place_skeletons
 from app.estimation.posture import LANDMARK_GROUPS, as_standing, likeliest_posture
-from app.estimation.results import Estimate, Evidence, Facing, Person, ProjectedHypothesis
+from app.estimation.results import (
+    Estimate,
+    Evidence,
+    Facing,
+    Matched,
+    Person,
+    ProjectedHypothesis,
+)
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
 from app.networks.dense import shipped_network
 from app.networks.shipped import constants_of, file_of
@@ -34,7 +41,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
 from index.artefact import load_index
-from index.landmark_matching import match_landmarks
+from index.landmark_matching import match_landmarks, moved_along
 from index.matching import DEFAULT_HYPOTHESES, Match
 from index.nearest import match_nearest
 from index.silhouette_matching import match_silhouette
@@ -262,6 +269,8 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
 
 
 def normalise_person(person: Person) -> NormalisedPerson | None:
+    if person.matched is not None:
+        return replace(person.matched.normalised, landmarks=person.landmarks)
     if person.silhouette is None:
         return None
     return NormalisedPerson.of(person.silhouette, person.landmarks)
@@ -283,7 +292,9 @@ def fit_poses(
         return person
     landmarks = normalised.normalised_landmarks()
     silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
-    if landmarks is None:
+    if person.matched is not None and landmarks is not None:
+        found = moved_along(person.matched.found, landmarks, roll_deg)
+    elif landmarks is None:
         found = match(index, silhouette, n, roll_deg=roll_deg)
     else:
         found = match_landmarks(
@@ -295,6 +306,7 @@ def fit_poses(
             whole=normalised.whole,
             reliability=0.5 if person.trust is None else person.trust.right,
         )
+        person = replace(person, matched=Matched(normalised, found))
     facing = Facing(found.front_probability, "none" if landmarks is None else "image")
     hypotheses = found.hypotheses
     presence = 1.0 if person.presence is None else person.presence
@@ -333,9 +345,6 @@ def fit_poses(
     )
 
 
-_THREADS_PER_PASS = 2  # They share a pass over a whole frame with little loss; more do not.
-
-
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     """Threads of a pass over a whole frame, and copies of the network, that share the cores.
 
@@ -344,7 +353,8 @@ def network_threads(cores: int, concurrency: int) -> tuple[int, int]:
     >>> network_threads(cores=8, concurrency=8)
     (2, 4)
     """
-    threads = min(_THREADS_PER_PASS, cores)
+    # They share a pass over a whole frame with little loss; more do not.
+    threads = min(2, cores)
     return threads, max(1, min(concurrency, cores // threads))
 
 
@@ -403,11 +413,14 @@ def load_models(concurrency: int) -> Models:
     cores = available_cores()
     threads, copies = network_threads(cores, concurrency)
     share = {"threads": threads, "copies": copies}
-    movenet, small_movenet = (MoveNet(file_of("movenet"), **share) for _ in range(2))
-    landmarks = LandmarkNetwork(
-        file_of("pose_landmarks"), threads=threads, copies=min(concurrency, cores)
+    # A second thread would wait for the first, and take a tenth more in all, in small networks.
+    alone = {"threads": 1, "copies": min(concurrency, cores)}
+    movenet, small_movenet = (
+        MoveNet(file_of("movenet"), **share),
+        MoveNet(file_of("movenet"), **alone),
     )
-    masks = MaskNetwork(file_of("pose_mask"), **share)
+    landmarks = LandmarkNetwork(file_of("pose_landmarks"), **alone)
+    masks = MaskNetwork(file_of("pose_mask"), **alone)
     judgement = load_photograph_models()
     reader = PersonReader(landmarks, masks, KeypointReader(small_movenet), judgement)
     pose_detection = BlazePoseDetector(file_of("pose_detection"), **share)

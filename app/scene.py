@@ -78,15 +78,8 @@ class Patch:
         return not _changed(self.grey, Patch.of(frame, self.box).grey, _MOVED_FROM).any()
 
 
-# A change is a connected area of at least this height, which includes a cell added on every side:
-# more than half of the smallest person, and more than the digits of a camera's clock.
-_MIN_CHANGE_CELLS = 7
 # A scene is still after this time: a person may be missed in the frame in which they move.
 _STILL_AFTER_S = 2.0
-# After this time, a person who has entered an empty, still scene is better visible.
-_ENTERS_WITHIN_S = 1.0
-# Margin around tracked people, as a share of the larger side of their boxes.
-_TRACK_MARGIN = 0.1
 
 Places = Mapping[Any, tuple[Box, Box]]
 """Boxes of tracked people: as expected in a frame, and as last seen."""
@@ -136,7 +129,8 @@ class Scene:
 
     def has_just_changed(self, time: float) -> bool:
         """Whether the scene was still a moment ago."""
-        return time - self._still_at <= _ENTERS_WITHIN_S
+        # After this time, a person who has entered an empty, still scene is better visible.
+        return time - self._still_at <= 1.0
 
     def _is_still_at(self, time: float) -> bool:
         still = time - self._changed_at >= _STILL_AFTER_S
@@ -156,11 +150,14 @@ class Scene:
         changed = _changed(before, now, _CHANGED_FROM).view(np.uint8)
         for box in (place.scaled(scale) for place in places):
             left, top, right, bottom = box.pixels()
-            margin = 1 + round(_TRACK_MARGIN * max(box.width, box.height))
+            # Margin around tracked people, as a share of the larger side of their boxes.
+            margin = 1 + round(0.1 * max(box.width, box.height))
             rows = slice(max(0, top - margin), max(0, bottom + margin))
             changed[rows, max(0, left - margin) : max(0, right + margin)] = 0
         _, _, areas, _ = cv2.connectedComponentsWithStats(changed)
-        return bool((areas[1:, cv2.CC_STAT_HEIGHT] >= _MIN_CHANGE_CELLS).any())
+        # A change is a connected area of at least this height, which includes a cell added on every
+        # side: more than half of the smallest person, and more than the digits of a camera's clock.
+        return bool((areas[1:, cv2.CC_STAT_HEIGHT] >= 7).any())
 
 
 def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, int, int]:
@@ -173,11 +170,6 @@ def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, int, int]
 # Time over which the usual view is learned: a passer-by hardly changes it, the course of a day
 # does, and a camera that stays turned gets a new view. At first, all frames have equal weight.
 _LEARNED_S = 600.0
-# Time until the view is known: films are often cut into shots of a few seconds, and the view of a
-# handheld camera seldom lasts this long.
-_KNOWN_AFTER_S = 10.0
-# Time between two frames that are checked: a check costs milliseconds, and a blocked view lasts.
-_LOOK_EVERY_S = 1.0
 # Most time that a single frame counts for: too short to begin an event.
 _MAX_STEP_S = 3.0
 # Time constant of the evidence: a view has to be blocked for 3.5 s, longer than a person takes to
@@ -201,10 +193,6 @@ _KEPT_STRENGTH, _MIN_KEPT = 0.4, 0.75
 _LOCAL_SHARE, _GAINS = 0.25, (0.5, 4.0)
 # Level of a cell below which nothing shows.
 _DARK_BELOW = 20.0
-# Least share of cells with edges for a decision.
-_MIN_EDGES = 0.02
-# A picture with so few edges beside the usual view, as of a cover, is no view to learn.
-_MIN_LEARNED = 0.25
 
 
 class View:
@@ -232,7 +220,9 @@ class View:
         of another size begins a new view.
         """
         elapsed = 0.0 if self.last_at is None else timestamp - self.last_at
-        if 0 < elapsed < _LOOK_EVERY_S:
+        # Time between two frames that are checked: a check costs milliseconds, and a blocked view
+        # lasts.
+        if 0 < elapsed < 1.0:
             return None
         step = min(max(0.0, elapsed), _MAX_STEP_S)
         self.last_at = timestamp
@@ -241,7 +231,9 @@ class View:
             self._lasting = np.zeros(grey.shape, np.float32)
         agreement = edge_agreement(self._usual, grey)
         blocked: bool | None = False
-        if self._known_s >= _KNOWN_AFTER_S:
+        # Time until the view is known: films are often cut into shots of a few seconds, and the
+        # view of a handheld camera seldom lasts this long.
+        if self._known_s >= 10.0:
             blocked = self._is_blocked(self._usual, grey, agreement, places)
         self._learn(self._usual, grey, agreement, step, slowly=blocked is not False)
         return None if blocked is None else self.blocked.change(float(blocked), step)
@@ -258,7 +250,8 @@ class View:
         counts = (strength >= _MIN_EDGE) & (self._lasting >= _LASTING) & (grey >= _DARK_BELOW)
         for left, top, right, bottom in (box.pixels() for box in places):
             counts[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = False
-        if counts.mean() < _MIN_EDGES:
+        # Least share of cells with edges for a decision.
+        if counts.mean() < 0.02:
             return None
         return bool(np.average(agreement[counts], weights=strength[counts]) < _BLOCKED_BELOW)
 
@@ -271,7 +264,8 @@ class View:
         *,
         slowly: bool,
     ) -> None:
-        if np.mean(_are_edges(grey)) < _MIN_LEARNED * np.mean(_are_edges(usual)):
+        # A picture with so few edges beside the usual view, as of a cover, is no view to learn.
+        if np.mean(_are_edges(grey)) < 0.25 * np.mean(_are_edges(usual)):
             return
         if not slowly:
             self._known_s = min(self._known_s + step, _LEARNED_S)

@@ -14,9 +14,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-ORTHONORMAL_WITHIN = 1e-6
-"""Largest error of an inner product, a tenth of the rounding of float32 moments."""
-
 
 @lru_cache(maxsize=64)
 def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64]:
@@ -65,7 +62,8 @@ def weighted_polynomials(orders: int, size: int, p: float) -> NDArray[np.float64
     for k in range(orders - 1):
         before = polynomials[k - 1] if k else 0.0
         polynomials[k + 1] = ((a[k] - x) * polynomials[k] - b[k] * before) / b[k + 1]
-    if np.abs(polynomials @ polynomials.T - np.eye(orders)).max() > ORTHONORMAL_WITHIN:
+    # Largest error of an inner product, a tenth of the rounding of float32 moments.
+    if np.abs(polynomials @ polynomials.T - np.eye(orders)).max() > 1e-6:
         raise ValueError(
             f"float64 is too short for {orders} orders at {size} samples and p = {p}: take fewer"
         )

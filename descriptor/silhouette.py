@@ -15,8 +15,6 @@ WIDTH = 48
 _LARGEST_PX = 1024
 # The same for the principal axis.
 _AXIS_PX = 512
-# Longer side of a mask while it is rotated.
-_CANVAS_PX = 256
 # Coverage from which a pixel is the person's, as a share of that of the most covered pixel. It is
 # relative, so that a mask too thin to cover half of any pixel is not lost. It is a little below a
 # half, since many pixels are covered by exactly half and rounding differs between processors.
@@ -85,7 +83,8 @@ def rotate_silhouette(
     block = max(1, max(mask.shape) // _LARGEST_PX)
     covered = _averaged(mask != 0, block)
     height, width = covered.shape
-    scale = _CANVAS_PX / max(height, width)
+    # Longer side of a mask while it is rotated.
+    scale = 256 / max(height, width)
     sine, cosine = abs(np.sin(np.deg2rad(angle_deg))), abs(np.cos(np.deg2rad(angle_deg)))
     # The canvas holds the whole rotated mask; its sides are even.
     size = 2 * np.ceil(

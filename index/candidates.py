@@ -60,10 +60,6 @@ def _ratio(silhouette: NDArray[np.uint8]) -> float:
     return width / max(height, 1)
 
 
-# Difference of a trunk's tilt from the usual rotations from which it is searched as well.
-_MIN_TILT_DEG = 12.0
-
-
 def landmark_rotations(usual: tuple[float, ...], tilt_deg: float) -> tuple[float, ...]:
     """At most two rotations in degrees, for a trunk tilted by ``tilt_deg`` in the silhouette.
 
@@ -72,7 +68,8 @@ def landmark_rotations(usual: tuple[float, ...], tilt_deg: float) -> tuple[float
     """
     apart = [abs(float(wrap_degrees(tilt_deg - one))) for one in usual]
     nearest = usual[apart.index(min(apart))]
-    second = nearest if min(apart) < _MIN_TILT_DEG else tilt_deg
+    # Difference of a trunk's tilt from the usual rotations from which it is searched as well.
+    second = nearest if min(apart) < 12.0 else tilt_deg
     return usual[:1] if second == usual[0] else (usual[0], second)
 
 
@@ -105,7 +102,11 @@ def find_candidates(index: PoseIndex, queries: Sequence[RotatedQuery], k: int) -
     Nearest first, with their skeletons rotated to fit the query.
     """
     vectors = _described(index, queries)
-    return _candidates(index, queries, vectors, *_nearest_entries(index, vectors, k))
+    variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
+    entry_ids, nearest_variant = index.search(variants, k)
+    rows = np.arange(len(vectors)).repeat(entry_ids.shape[1])
+    mirrored = nearest_variant.ravel() == 1
+    return _candidates(index, queries, vectors, entry_ids.ravel(), mirrored, rows)
 
 
 def sample_candidates(index: PoseIndex, queries: Sequence[RotatedQuery], count: int) -> Candidates:
@@ -137,19 +138,6 @@ def _candidates(
     for row, query in enumerate(queries):
         _rotate(candidates, rows == row, query)
     return candidates.take(np.argsort(candidates.distances, kind="stable"))
-
-
-def _nearest_entries(
-    index: PoseIndex, vectors: NDArray[np.float32], k: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
-    """The ``k`` entries nearest to each of several descriptors ``(Q, D)``, in one search.
-
-    Also whether each was found as its mirror image, and the row of the descriptor that it is near.
-    """
-    variants = np.stack([vectors, index.descriptor.mirror(vectors)], axis=1)
-    entry_ids, nearest_variant = index.search(variants, k)
-    rows = np.arange(len(vectors)).repeat(entry_ids.shape[1])
-    return entry_ids.ravel(), nearest_variant.ravel() == 1, rows
 
 
 def _compare(

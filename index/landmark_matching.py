@@ -50,6 +50,7 @@ from index.skeleton import (
     LIMB_HIPS,
     LIMB_SHOULDERS,
     moved_in_depth,
+    rotate_clockwise,
 )
 from index.store import PoseIndex
 
@@ -91,6 +92,31 @@ def match_landmarks(
     return Match(hypotheses, front_probability, voters, votes_of(voters))
 
 
+def moved_along(found: Match, landmarks: NormalisedLandmarks, roll_deg: float) -> Match:
+    """The hypotheses found in an earlier frame, fitted to the landmarks of a later one.
+
+    Both are in the normalised frame of the earlier one, with ``roll_deg`` as for
+    :func:`match_landmarks`. The first at other depths keeps its distances in depth.
+    """
+    first = found.hypotheses[0]
+    own = [one for one in found.hypotheses if not one.in_depth]
+    points_3d, placed = fit_to_landmarks(
+        landmarks,
+        rotate_clockwise(np.array([one.points_3d for one in own]), roll_deg),
+        np.array([one.points_normalised for one in own]),
+    )
+    points_3d = rotate_clockwise(points_3d, -roll_deg)
+    fitted = iter(zip(points_3d, placed, strict=True))
+    moved = []
+    for one in found.hypotheses:
+        if one.in_depth:
+            points = points_3d[0] + one.points_3d - first.points_3d, placed[0]
+        else:
+            points = next(fitted)
+        moved.append(replace(one, points_3d=points[0], points_normalised=points[1]))
+    return replace(found, hypotheses=moved)
+
+
 def _first_batch(
     voters: Sequence[PoseHypothesis],
     alternatives: Sequence[PoseHypothesis],
@@ -121,11 +147,6 @@ def _first_batch(
 _CANDIDATES, _KEPT = 500, 100
 # The same where the silhouette is not whole: entries of a sample, and how many are kept.
 _SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
-# Largest distance at which an entry has the silhouette of the query: a shipped entry's is stored at
-# half resolution, 0.4 to 1.5 from its vector; people's are 3 or more from the nearest.
-_SAME_DISTANCE = 2.0
-# Candidates that decide which action is the usual one, for each that is kept.
-_VOTES_PER_KEPT = 3
 
 
 @dataclass(frozen=True)
@@ -187,7 +208,10 @@ class _LandmarkQuery(Query):
             faces_camera(azimuth_deg(one)) for one in (candidates.points_3d, points_3d)
         )
         # The first is the nearest.
-        same = candidates.distances <= _SAME_DISTANCE
+        # Largest distance at which an entry has the silhouette of the query: a shipped entry's is
+        # stored at half resolution, 0.4 to 1.5 from its vector; people's are 3 or more from the
+        # nearest.
+        same = candidates.distances <= 2.0
         like = ((facing == front[:, None]) * (1 + 4 * same) + 2 * typical).argmax(axis=1)
         modes = replace(modes, centres=like, points_3d=points_3d, points_normalised=placed)
         order = np.argsort(-columns["confidence"], kind="stable")
@@ -230,7 +254,8 @@ class _LandmarkQuery(Query):
         likeliest = np.argsort(-weights, kind="stable")
         skeletons = self.index.entries["skeleton"][candidates.entry_ids]
         actions = self.index.skeleton_labels["action"][skeletons]
-        typical = actions == np.bincount(actions[likeliest[: _VOTES_PER_KEPT * count]]).argmax()
+        # Candidates that decide which action is the usual one, for each that is kept.
+        typical = actions == np.bincount(actions[likeliest[: 3 * count]]).argmax()
         kept = np.sort(likeliest[:count])  # Back in ascending distance.
         return candidates.take(kept), agreement.take(kept), weights[kept], typical[kept]
 
@@ -251,10 +276,6 @@ def _trunk_tilt_deg(limbs_3d: NDArray[np.float64]) -> float:
     return float(np.rad2deg(np.arctan2(right, -down)))
 
 
-# Smallest scale at which candidates are placed by landmarks.
-_MIN_PX_PER_METRE = 5.0
-
-
 def _placed_by_landmarks(candidates: Candidates, landmarks: NormalisedLandmarks) -> Candidates:
     """Candidates placed in the picture by the landmarks, by weighted least squares."""
     rows = list(landmarks.rows)
@@ -267,5 +288,6 @@ def _placed_by_landmarks(candidates: Candidates, landmarks: NormalisedLandmarks)
     scale = (weights * from_middle * to_landmarks).sum(axis=(1, 2)) / np.maximum(
         (weights * from_middle**2).sum(axis=(1, 2)), 1e-9
     )
-    placed = (plane - middle) * np.maximum(scale, _MIN_PX_PER_METRE)[:, None, None] + target
+    # Smallest scale at which candidates are placed by landmarks.
+    placed = (plane - middle) * np.maximum(scale, 5.0)[:, None, None] + target
     return replace(candidates, points_normalised=placed)

@@ -29,9 +29,6 @@ from index.skeleton import (
 
 # Standard deviation of a point about its landmark in the picture, and in three dimensions.
 _SIGMA_PX, _SIGMA_M = 8.0, 0.15
-# Weight of the landmarks in three dimensions relative to their places in the picture, which are
-# more certain.
-_LIMB_WEIGHT = 0.25
 
 OUTLIER_WEIGHT = 0.05
 """Weight of outliers among landmarks, so that no single landmark rules a pose out."""
@@ -88,7 +85,9 @@ class NormalisedLandmarks:
         limbs = np.asarray(points_3d, np.float64).take(_BOTH_LIMBS, axis=1)
         squares = squared_lengths(self._offsets_of_limbs(limbs))
         near = self.limb_scores * np.exp(-squares / (2 * _SIGMA_M**2))
-        likelihood += _LIMB_WEIGHT * _log_likelihoods(near)
+        # Weight of the landmarks in three dimensions relative to their places in the picture, which
+        # are more certain.
+        likelihood += 0.25 * _log_likelihoods(near)
         likelier = likelihood.argmax(axis=1)
         each = np.arange(len(points))
         return Agreement(
@@ -113,7 +112,7 @@ class NormalisedLandmarks:
         """
         return self._offsets_of_limbs(np.asarray(points_3d[:, LIMB_ROWS], np.float64))
 
-    def inlier_probability(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
+    def inlier_shares(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability ``(K, P)`` that landmarks at offsets ``(K, P, 2)`` are not outliers."""
         return _inlier_share(self._mass(offsets))
 
@@ -158,11 +157,6 @@ DISTANCE_WEIGHT = 4.0
 """Weight of the log distance of the descriptors against a hypothesis, beside the log-likelihood of
 the landmarks. Like the weight of sides, it was chosen on people in even-numbered photographs."""
 
-# Weight of the log odds of a hypothesis's sides.
-_SIDE_WEIGHT = 0.3
-# Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
-_TILT_SCALE_DEG = 60.0
-
 
 def fused_distances(
     distances: NDArray[np.float64], agreement: Agreement, tilt_deg: NDArray[np.float64]
@@ -172,19 +166,15 @@ def fused_distances(
     They follow from the distances between descriptors and the in-plane tilts of the person
     ``(N,)``.
     """
-    likelihood = (
-        agreement.log_likelihood
-        + _SIDE_WEIGHT * agreement.side_log_odds
-        - np.abs(tilt_deg) / _TILT_SCALE_DEG
-    )
+    # Weight of the log odds of a hypothesis's sides.
+    # Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
+    likelihood = agreement.log_likelihood + 0.3 * agreement.side_log_odds - np.abs(tilt_deg) / 60.0
     return distances * np.exp(-likelihood / DISTANCE_WEIGHT)
 
 
 # The fit: standard deviation of a point about its landmark in pixels, share of the way that a point
 # moves in an iteration, and iterations. Coarse to fine, in 14 iterations, it came no nearer.
 _FIT_SIGMA_PX, _FIT_SHARE, _FIT_ITERATIONS = 10.0, 0.8, 6
-# Total share of the way to the landmarks' depths by which the fit moves joints.
-_DEPTH_SHARE = 0.6
 
 _HIP_POINTS = side_rows("hip")
 
@@ -207,7 +197,10 @@ def fit_to_landmarks(
     fitted = with_bone_lengths(scale * moved, lengths)
     about = points_normalised - scale * points_3d[..., :2]  # What perspective and place add.
     sides = blurred.compare(about + fitted[..., :2], fitted / scale).side_log_odds
-    rows = _match_sides(landmarks, sides < 0) + POINTS * np.arange(len(fitted))[:, None]
+    # Left and right are exchanged if that is likelier; the first follows the landmarks.
+    exchanged = (sides < 0)[:, None] & (np.arange(len(fitted)) > 0)[:, None]
+    rows = np.where(exchanged, OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
+    rows = rows + POINTS * np.arange(len(fitted))[:, None]
     for _ in range(_FIT_ITERATIONS):
         moves = np.zeros_like(about)
         moves.reshape(-1, 2)[rows] = _FIT_SHARE * _pulls(blurred, about + fitted[..., :2], rows)
@@ -223,23 +216,13 @@ def _moved_in_depth(
 ) -> NDArray[np.float64]:
     """Move skeletons ``(M, 24, 3)`` towards the landmarks in three dimensions."""
     offsets = landmarks.limb_offsets(points_3d)
-    shares = np.repeat(_DEPTH_SHARE * landmarks.limb_scores[None], len(points_3d), axis=0)
+    # Total share of the way to the landmarks' depths by which the fit moves joints.
+    shares = np.repeat(0.6 * landmarks.limb_scores[None], len(points_3d), axis=0)
     near = np.exp(-squared_lengths(offsets) / (2 * _SIGMA_M**2))
     shares[1:] *= near[1:]
     moved = points_3d.copy()
     moved[:, LIMB_ROWS] += shares[..., None] * offsets
     return moved
-
-
-def _match_sides(landmarks: NormalisedLandmarks, exchanged: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Rows ``(M, P)`` of each skeleton's points that the landmarks show.
-
-    Left and right are exchanged if that is likelier, but not for the first, which follows the
-    landmarks.
-    """
-    rows = np.where(exchanged[:, None], OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
-    rows[0] = landmarks.rows
-    return rows
 
 
 def _pulls(
@@ -251,7 +234,7 @@ def _pulls(
     skeleton.
     """
     offsets = landmarks.positions - placed.reshape(-1, 2).take(rows, axis=0)
-    trust = landmarks.inlier_probability(offsets)
+    trust = landmarks.inlier_shares(offsets)
     trust[0] = landmarks.scores
     return trust[..., None] * offsets
 

@@ -37,9 +37,6 @@ k are requested."""
 MIN_NEW_POSE_M = 0.055
 """Mean joint distance from all earlier hypotheses that makes one of a later batch new."""
 
-# Stop once a batch of this many times the requested number adds no new pose: only a few poses may
-# fit a hardly visible person, and searching for 50 took seconds.
-_MAX_BATCH_GROWTH = 4
 
 SPARE_MODES = 4
 """Modes computed beyond those requested: a sparse mode may fit best."""
@@ -49,9 +46,6 @@ CANDIDATES_PER_HYPOTHESIS = 20
 
 MAX_CANDIDATE_GROWTH = 16
 """Factor by which the candidates may grow if they hold too few distinct poses."""
-
-# A person tilted by more than this in the picture is lying rather than standing.
-_MAX_STANDING_TILT_DEG = 30.0
 
 
 @dataclass(frozen=True)
@@ -204,7 +198,8 @@ class Query:
     ) -> list[PostureName]:
         """Postures of skeletons interpolated about entries, in a camera that is not rolled."""
         entries = self.index.entries[entry_ids]
-        tilted = np.abs(tilt_deg) > _MAX_STANDING_TILT_DEG
+        # A person tilted by more than this in the picture is lying rather than standing.
+        tilted = np.abs(tilt_deg) > 30.0
         elevation_deg = np.where(tilted, lying_elevation_deg(points_3d), entries["elevation_deg"])
         speeds = self.index.skeleton_labels["speed"][entries["skeleton"]]
         return [
@@ -224,7 +219,9 @@ def with_later_batches(
     while len(found) < n or size < n:
         size *= 2
         new = unlike(batch(size, max(one.distance for one in found)), found)
-        if not new and size >= _MAX_BATCH_GROWTH * n:
+        # Stop once a batch of this many times the requested number adds no new pose: only a few
+        # poses may fit a hardly visible person, and searching for 50 took seconds.
+        if not new and size >= 4 * n:
             break
         found = found + likeliest_first(new)
     return found

@@ -33,7 +33,6 @@ ROW, VECTOR = "number", "vector"
 METRIC = {"metric_type": "L2"}
 
 _TIMEOUT_S = 2.0  # Longest time of a call.
-_SAME = 1e-4  # Squared distances of equal vectors stay below.
 
 
 @contextmanager
@@ -89,7 +88,8 @@ class MilvusNeighbours:
     def check(self, index: PoseIndex) -> None:
         """Raise :class:`ArtefactError` if these are not the vectors of an index."""
         ends = index.vectors[[0, -1]]
-        if len(self) != len(index) or self.search(ends, 1)[0].max() > _SAME:
+        # Squared distances of equal vectors stay below.
+        if len(self) != len(index) or self.search(ends, 1)[0].max() > 1e-4:
             raise ArtefactError(f"the collection {self._collection} holds other vectors")
 
 

@@ -36,23 +36,8 @@ after interpolation."""
 BANDWIDTH_M = 0.08
 """Bandwidth of the density's Gaussian kernel, a root mean square joint distance."""
 
-# Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the density.
-_SUPPRESSION = 1.5
-# Fall-off of the candidates' weights with distance if landmarks are the other factor of the
-# weights: they distinguish near candidates better than descriptors; see :func:`candidate_weights`.
-_FALL_OFF_WITH_LANDMARKS = 0.6
-# Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
-# otherwise an entry that equals the query would outweigh all others.
-_MIN_NEAREST_SHARE = 0.02
-# Exponent of the landmarks' likelihood in the weights: their errors are correlated (left for
-# right).
-_LIKELIHOOD_EXPONENT = 0.5
 # Ridge of the regression, relative to the variance of a mode's offsets.
 _RIDGE = 0.45
-# Candidates below this share of the largest weight in a mode do not belong to it.
-_MIN_MEMBER_WEIGHT = 1e-3
-# Decimals to which densities are rounded, so that rounding errors do not break ties.
-_DENSITY_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -123,8 +108,6 @@ def find_modes(
     return modes.take(distinct)
 
 
-# Standard deviation of a limb's depth about that of an entry of the same pose.
-_ENTRY_DEPTH_SD_M = 0.2
 # Exponent of the candidates' weights, since these include part of the evidence of the depths.
 _ENTRY_EXPONENT = 0.3
 _MIN_VARIANCE = 1e-5
@@ -160,7 +143,8 @@ def depth_modes(
     apart = -landmarks.limb_offsets(candidates.points_3d)[..., 2]
     limbs = np.eye(len(LIMBS))
     errors = landmarks.limb_covariance + _MIN_VARIANCE * limbs
-    precision = np.linalg.inv(errors + _ENTRY_DEPTH_SD_M**2 * limbs)
+    # Standard deviation of a limb's depth about that of an entry of the same pose.
+    precision = np.linalg.inv(errors + 0.2**2 * limbs)
     gain = errors @ precision
     log_weights = np.log(likely_weights(candidates.distances, agreement) + 1e-300)
     log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
@@ -200,19 +184,27 @@ def _densest(
     remaining = weights / weights.sum()
     penalty = np.zeros(len(weights))  # It is minus infinity near the centres taken.
     while True:
-        density = (kernel @ remaining).round(_DENSITY_DIGITS) + penalty
+        # Decimals to which densities are rounded, so that rounding errors do not break ties.
+        density = (kernel @ remaining).round(12) + penalty
         centre = int(density.argmax())
         if density[centre] == -np.inf:
             return
         yield centre, remaining * kernel[centre]
-        remaining = remaining * (1 - kernel[centre] ** (1 / _SUPPRESSION**2))
+        # Bandwidth of the kernel that removes a mode once taken, as a multiple of that of the
+        # density.
+        remaining = remaining * (1 - kernel[centre] ** (1 / 1.5**2))
         penalty[apart[centre] < DISTINCT_M] = -np.inf
 
 
 def likely_weights(distances: NDArray[np.float64], agreement: Agreement) -> NDArray[np.float64]:
     """Weights ``(K,)`` of candidates at ascending distances ``(K,)`` that agree with landmarks."""
-    weights = candidate_weights(distances, _FALL_OFF_WITH_LANDMARKS)
-    return weights * agreement.weights(_LIKELIHOOD_EXPONENT)
+    # Fall-off of the candidates' weights with distance if landmarks are the other factor of the
+    # weights: they distinguish near candidates better than descriptors; see
+    # :func:`candidate_weights`.
+    weights = candidate_weights(distances, 0.6)
+    # Exponent of the landmarks' likelihood in the weights: their errors are correlated (left for
+    # right).
+    return weights * agreement.weights(0.5)
 
 
 def candidate_weights(distances: NDArray[np.float64], fall_off: float = 0.3) -> NDArray[np.float64]:
@@ -220,7 +212,9 @@ def candidate_weights(distances: NDArray[np.float64], fall_off: float = 0.3) -> 
 
     1/e for one farther than the nearest by twice ``fall_off`` times the nearest's distance.
     """
-    nearest = max(distances[0], _MIN_NEAREST_SHARE * distances[-1])
+    # Smallest distance of the nearest candidate, as a share of the farthest's, for the fall-off:
+    # otherwise an entry that equals the query would outweigh all others.
+    nearest = max(distances[0], 0.02 * distances[-1])
     return np.exp((distances[0] - distances) / (2 * fall_off * nearest + 1e-9))
 
 
@@ -256,7 +250,8 @@ def _combinations(
     weights: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Shares ``(M, K)``, summing to 1, by which members make up the interpolated pose of a mode."""
-    shares = np.where(weights > _MIN_MEMBER_WEIGHT * weights.max(axis=1)[:, None], weights, 0.0)
+    # Candidates below this share of the largest weight in a mode do not belong to it.
+    shares = np.where(weights > 1e-3 * weights.max(axis=1)[:, None], weights, 0.0)
     shares /= shares.sum(axis=1)[:, None]
     means = shares @ offsets
     scatters = np.empty((*means.shape, means.shape[1]))

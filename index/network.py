@@ -186,10 +186,6 @@ class Distributions:
         either = np.logaddexp(self.log_probabilities, other.log_probabilities)
         return Distributions(either - np.log(2))
 
-    def peak(self) -> float:
-        """Mean log probability of the likeliest bins: how certain the network is."""
-        return float(np.mean([part.max(axis=1) for part in self.by_axis()]))
-
     def by_axis(self) -> list[NDArray[np.float64]]:
         """Log probabilities ``(19, bins)`` along each of :data:`AXES`."""
         return np.split(self.log_probabilities, np.cumsum(_BINS_OF_AXIS)[:-1], axis=1)

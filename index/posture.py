@@ -48,9 +48,6 @@ _DISTINGUISHED = {
     "lying": ("lying", "lying"),
 }
 
-# Added to the votes for each posture of a group before the group is split by them.
-_MIN_VOTE = 1e-3
-
 
 class PostureGroups:
     """Groups of :data:`POSTURES`, in the order in which the outputs of a network name them.
@@ -75,7 +72,8 @@ class PostureGroups:
         self, grouped: NDArray[np.float64], votes: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Shares ``(10,)`` of postures, from those of groups ``(G,)`` and votes ``(10,)``."""
-        within = votes + _MIN_VOTE
+        # Added to the votes for each posture of a group before the group is split by them.
+        within = votes + 1e-3
         return np.asarray((grouped / self.sums(within))[self.of] * within)
 
 
@@ -85,39 +83,6 @@ SILHOUETTE_GROUPS = PostureGroups(
 
 MIN_WALKING_SPEED_M_S, MIN_RUNNING_SPEED_M_S = 0.5, 2.2
 """Least horizontal speeds of walking and of running people."""
-
-# Steepest elevation of a camera.
-_MAX_ELEVATION_DEG = 70.0
-# Smallest tilt of the trunk of a person lying or on all fours.
-_MIN_HORIZONTAL_DEG = 55.0
-# Largest height of the pelvis and the chest of a person lying.
-_MAX_LYING_HEIGHT = 0.5
-# Least height of the pelvis above both knees of a kneeling person whose trunk is on the thighs.
-_MIN_FOLDED_HEIGHT = 0.1
-# Largest height of the lowest hand or elbow of a person on all fours.
-_MAX_HAND_HEIGHT = 0.3
-# Largest height of the pelvis of a person on all fours.
-_MAX_CRAWLING_HEIGHT = 0.85
-# Height of the pelvis below which a person is not standing.
-_MAX_LOWERED_HEIGHT = 0.8
-# Largest height of a pelvis that rests on the floor.
-_MAX_FLOOR_HEIGHT = 0.3
-# Largest height of a knee on the floor.
-_MAX_KNEE_HEIGHT = 0.12
-# Largest height of a knee on the floor above or below its ankle: toes may be tucked in.
-_MAX_SHANK_RISE = 0.35
-# Least height of the pelvis of a kneeling person, who may rest on the heels.
-_MIN_KNEELING_HEIGHT = 0.2
-# Horizontal distance of the centre of mass from the feet beyond which something else carries the
-# body.
-_MIN_UNSUPPORTED = 0.15
-# A person whose thighs are level on average, with neither one steep and the pelvis at the height of
-# a seat, sits even if the feet could carry the body: the trunk is upright or both shanks are steep.
-# Squatting people lean the shanks forward to keep the balance.
-_MAX_LEVEL_THIGH_DEG, _MAX_STEEP_THIGH_DEG, _MIN_SEAT_HEIGHT = 25.0, 50.0, 0.5
-_MAX_SEATED_TRUNK_DEG, _MIN_SEATED_SHANK_DEG = 20.0, 55.0
-# Least tilt of a trunk that is bent over standing legs, and over lowered legs.
-_MIN_BENT_DEG, _MIN_BENT_LOW_DEG = 45.0, 60.0
 
 # Bones by their ends: both thighs, both shanks, the trunk.
 _KNEES = side_rows("knee")
@@ -161,28 +126,28 @@ def classify_postures(
     lower = knees.argmin(axis=1)
     every = np.arange(len(joints))
     shank_rise = np.abs(rises[every, 2 + lower]) / leg
-    on_knee = (knees[every, lower] < _MAX_KNEE_HEIGHT) & (shank_rise < _MAX_SHANK_RISE)
-    unsupported = _distance_from_feet(joints, along_up, up) / leg > _MIN_UNSUPPORTED
+    on_knee = (knees[every, lower] < 0.12) & (shank_rise < 0.35)  # Toes may be tucked in.
+    # Something else than the feet carries the body.
+    unsupported = _distance_from_feet(joints, along_up, up) / leg > 0.15
+    # A person whose thighs are level on average, with neither one steep and the pelvis at the
+    # height of a seat, sits even if the feet could carry the body: the trunk is upright or both
+    # shanks are steep. Squatting people lean the shanks forward to keep the balance.
     level_deg = np.rad2deg(np.arcsin(np.sin(np.deg2rad(thighs_deg)).mean(axis=1)))
-    seated = (np.abs(level_deg) < _MAX_LEVEL_THIGH_DEG) & (pelvis > _MIN_SEAT_HEIGHT)
-    seated &= thighs_deg.max(axis=1) < _MAX_STEEP_THIGH_DEG
-    seated &= (tilt_deg < _MAX_SEATED_TRUNK_DEG) | (shanks_deg.min(axis=1) > _MIN_SEATED_SHANK_DEG)
+    seated = (np.abs(level_deg) < 25.0) & (pelvis > 0.5) & (thighs_deg.max(axis=1) < 50.0)
+    seated &= (tilt_deg < 20.0) | (shanks_deg.min(axis=1) > 55.0)
 
-    horizontal = tilt_deg >= _MIN_HORIZONTAL_DEG
-    lowered, on_floor = pelvis < _MAX_LOWERED_HEIGHT, pelvis < _MAX_FLOOR_HEIGHT
-    low_chest = height["chest"] < _MAX_LYING_HEIGHT
+    horizontal = tilt_deg >= 55.0  # Of who lies, or is on all fours.
+    lowered, on_floor = pelvis < 0.8, pelvis < 0.3
+    low_chest = height["chest"] < 0.5
     flexed = ((bones[:, :2] @ bones[:, 4, :, None])[..., 0] < 0).all(axis=1)
-    on_thighs = flexed & (pelvis - knees.max(axis=1) > _MIN_FOLDED_HEIGHT)
+    on_thighs = flexed & (pelvis - knees.max(axis=1) > 0.1)
     conditions: tuple[tuple[PostureName, ArrayLike], ...] = (
         ("kneeling", horizontal & lowered & low_chest & on_thighs),  # Prostrate.
-        ("lying", horizontal & (pelvis < _MAX_LYING_HEIGHT) & low_chest),
-        (
-            "crawling",
-            horizontal & unsupported & (hand < _MAX_HAND_HEIGHT) & (pelvis < _MAX_CRAWLING_HEIGHT),
-        ),
-        ("kneeling", lowered & on_knee & (pelvis > _MIN_KNEELING_HEIGHT)),
+        ("lying", horizontal & (pelvis < 0.5) & low_chest),
+        ("crawling", horizontal & unsupported & (hand < 0.3) & (pelvis < 0.85)),
+        ("kneeling", lowered & on_knee & (pelvis > 0.2)),  # Perhaps resting on the heels.
         ("sitting", seated | (lowered & (on_floor | unsupported))),
-        ("bending", tilt_deg >= np.where(lowered, _MIN_BENT_LOW_DEG, _MIN_BENT_DEG)),
+        ("bending", tilt_deg >= np.where(lowered, 60.0, 45.0)),
         ("crouching", lowered),
         ("arms_raised", (wrists > height["head"][:, None]).all(axis=1)),
         ("running", np.asarray(speed) >= MIN_RUNNING_SPEED_M_S),
@@ -220,7 +185,7 @@ def lying_elevation_deg(points_3d: NDArray[np.floating]) -> NDArray[np.float64]:
     # Head or hips may be the nearer end, so an angle and its opposite describe the same trunk.
     elevation_deg = np.where(elevation_deg < 0, elevation_deg + 180.0, elevation_deg)
     elevation_deg = np.where(elevation_deg > 135.0, elevation_deg - 180.0, elevation_deg)
-    return np.clip(elevation_deg, 0.0, _MAX_ELEVATION_DEG)
+    return np.clip(elevation_deg, 0.0, 70.0)  # No camera is steeper.
 
 
 def _distance_from_feet(

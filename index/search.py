@@ -65,11 +65,12 @@ class ExactNeighbours:
     """
 
     def __init__(self, vectors: NDArray[np.floating], *, in_bytes: bool = True) -> None:
-        dimension = vectors.shape[1]
         self._factor = scale_factor(vectors) if in_bytes else np.float32(1)
         self._in_bytes = self._factor == STEPS_PER_UNIT
-        empty = _byte_index if self._in_bytes else faiss.IndexFlatL2
-        self._faiss: Any = empty(dimension)
+        self._faiss: Any = faiss.IndexFlatL2(vectors.shape[1])
+        if self._in_bytes:  # Whole numbers from 0 to 255 are stored exactly.
+            code = faiss.ScalarQuantizer.QT_8bit_direct
+            self._faiss = faiss.IndexScalarQuantizer(vectors.shape[1], code, faiss.METRIC_L2)
         for block in _blocks(vectors):
             scaled = block * self._factor
             with _one_thread():
@@ -103,7 +104,8 @@ class ExactNeighbours:
     ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
         """Find the ``k`` vectors nearest to each query, rounded; see :meth:`Neighbours.search`."""
         scaled = np.ascontiguousarray(self.rounded(queries) * self._factor, np.float32)
-        squared, ids = _search(self._faiss, scaled + _ZERO if self._in_bytes else scaled, k)
+        with _one_thread():  # With more, FAISS takes longer for few queries.
+            squared, ids = self._faiss.search(scaled + _ZERO if self._in_bytes else scaled, k)
         return squared / self._factor**2, ids
 
     def rounded(self, queries: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -115,14 +117,6 @@ class ExactNeighbours:
             return queries
         steps = np.rint(queries * self._factor).clip(-_MAX_STEPS, _MAX_STEPS)
         return np.asarray(steps / self._factor)
-
-
-def _search(
-    vectors: Any, queries: NDArray[np.float32], k: int
-) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    with _one_thread():  # With more, FAISS takes longer for few queries.
-        squared, ids = vectors.search(queries, k)
-    return squared, ids
 
 
 @contextmanager
@@ -137,12 +131,6 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         faiss.omp_set_num_threads(threads)
-
-
-def _byte_index(dimension: int) -> Any:
-    """An empty index of whole numbers from 0 to 255, which it stores exactly."""
-    code = faiss.ScalarQuantizer.QT_8bit_direct
-    return faiss.IndexScalarQuantizer(dimension, code, faiss.METRIC_L2)
 
 
 def scale_factor(vectors: NDArray[np.floating]) -> np.float32:

@@ -168,10 +168,6 @@ class _SilhouetteQuery(Query):
             k *= 2
 
 
-# Fall-off of the candidates' weights, as in :func:`index.modes.candidate_weights`.
-_AGREEMENT_FALL_OFF = 0.15
-
-
 def _agreement(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     """Weighted shares ``(M,)`` of the candidates that agree with each mode.
 
@@ -184,5 +180,6 @@ def _agreement(candidates: Candidates, modes: Modes) -> NDArray[np.float64]:
     squares = (mode_joints[:, :, 0, None] - joints[0]) ** 2
     squares += (mode_joints[:, :, 1, None] - joints[1]) ** 2
     errors = np.sqrt(squares).sum(axis=1) / JOINTS
-    weights = candidate_weights(candidates.distances, _AGREEMENT_FALL_OFF)
+    # Fall-off of the candidates' weights, as in :func:`index.modes.candidate_weights`.
+    weights = candidate_weights(candidates.distances, 0.15)
     return np.asarray((errors < RIGHT_BELOW_PX) @ weights / weights.sum())

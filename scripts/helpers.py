@@ -32,7 +32,7 @@ def track(
     session: CameraSession, frame: NDArray[np.uint8], timestamp: float, n: int = DEFAULT_HYPOTHESES
 ) -> TrackedFrame:
     """Send a frame to a camera session as a caller does, encoded."""
-    return session.process(Upload(encoded(frame)), timestamp, n, Job())
+    return session.process(Upload(encoded(frame)), timestamp, n, Job(), drawn=False)
 
 
 def encoded(frame: NDArray[np.uint8]) -> bytes:

@@ -143,7 +143,7 @@ class Server:
     def stop(self) -> int:
         """Ask it to end and return its exit status."""
         self.process.terminate()
-        return self.process.wait(timeout=20)
+        return self.process.wait(timeout=60)
 
 
 def start_server(

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.photograph import Estimator
-from scripts.datasets import read_frames, read_lsp, read_pose2sim_joints
+from scripts.datasets import Athlete, read_frames, read_lsp, read_pose2sim_joints
 from scripts.experiments.people import TRUNK_TILTS, error_mm, fallen, generous_box, is_low, sport
 from scripts.helpers import encoded, estimate
 from tests.conftest import SHARED
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LSP_EACH, FRAMES_EACH, FALLS = 8, 4, {"fall": 40, "not-fall": 16}
+LSP_EACH, FRAMES_EACH, FALLS = 8, 4, {"fall": 40, "not-fall": 24}
 LSP_FLOORS = {
     "upright": (95.0, 72.0, 67.5),
     "horizontal": (95.0, 69.6, 60.0),
@@ -43,10 +43,15 @@ def evenly(items: Sequence[Any], count: int) -> list[Any]:
     return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
 
 
+@pytest.fixture(scope="module")
+def athletes() -> list[Athlete]:
+    return list(read_lsp(REAL / "lsp"))
+
+
 @pytest.mark.parametrize("orientation", LSP_FLOORS)
-def test_sports_photographs(shipped: Estimator, orientation: str) -> None:
+def test_sports_photographs(shipped: Estimator, athletes: list[Athlete], orientation: str) -> None:
     low, high = TRUNK_TILTS[orientation]
-    people = [one for one in read_lsp(REAL / "lsp") if low <= abs(one.trunk_deg) < high]
+    people = [one for one in athletes if low <= abs(one.trunk_deg) < high]
     found = sport(shipped, evenly(people, LSP_EACH))[orientation]
     measured = found["found"], found["keypoints_pck"], found["first_pck"]
     assert all(np.array(measured) >= LSP_FLOORS[orientation]), measured

@@ -191,7 +191,7 @@ def draw_skeleton(
     for seam in (2, 0):
         for parent, child in keypoints.bones:
             if drawable[parent] and drawable[child]:
-                colour = (0, 0, 0) if seam else SIDE_COLOURS[_side(keypoints, parent, child)]
+                colour = (0, 0, 0) if seam else SIDE_COLOURS[side_of(keypoints, parent, child)]
                 dashed = bool(unsure) and (unsure[parent] or unsure[child])
                 along = fixed[child] - fixed[parent]
                 for part in _PARTS[dashed]:
@@ -200,7 +200,7 @@ def draw_skeleton(
                     cv2.line(picture, first, last, colour, line + seam, cv2.LINE_AA, 4)
 
 
-def _side(keypoints: KeypointSet, *points: int) -> str:
+def side_of(keypoints: KeypointSet, *points: int) -> str:
     """Return ``left`` or ``right`` if a bone ends on that side, else ``middle``."""
     sides = {keypoints.names[point].split("_")[0] for point in points} & {"left", "right"}
     return sides.pop() if len(sides) == 1 else "middle"

@@ -1,7 +1,7 @@
 """Estimates, tracked frames, sessions and videos as models of the public contract."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -16,15 +16,12 @@ from app.cameras import CameraSettings, CameraSummary
 from app.configuration import EVENT_NAMES, CameraConfiguration
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.settings import Method
-from app.tracking.results import SmoothedPose, TrackedFrame, TrackedPerson
+from app.tracking.results import Event, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import Zone, crosses_itself, is_outside
 from app.vision.optics import Optics
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, PoseIndex
-
-SIZE_SD = 0.1
-"""Standard deviation of the logarithm of a body's size, and so of its distance."""
 
 
 def run_lengths(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> NDArray[np.int64]:
@@ -207,7 +204,8 @@ def _position(hips: NDArray[np.float64] | None) -> schemas.Position | None:
     if hips is None:
         return None
     x, y, z = hips.tolist()
-    return schemas.Position(x=x, y=y, z=z, sd=SIZE_SD * float(np.linalg.norm(hips)))
+    # Standard deviation of the logarithm of a body's size, and so of its distance.
+    return schemas.Position(x=x, y=y, z=z, sd=0.1 * float(np.linalg.norm(hips)))
 
 
 def _silhouette(
@@ -307,7 +305,7 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     return tracking_schemas.CameraState.model_validate(
         {
             "camera_id": camera.camera_id,
-            "zones": [{**vars(zone), "polygon": zone.polygon.tolist()} for zone in zones],
+            "zones": _zones(zones),
             "zones_outside": [
                 zone.name
                 for zone in zones
@@ -321,10 +319,39 @@ def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     )
 
 
+def _zones(zones: Sequence[Zone]) -> list[dict[str, Any]]:
+    return [{**vars(zone), "polygon": zone.polygon.tolist()} for zone in zones]
+
+
 _NO_SESSION: dict[str, Any] = {
     **dict.fromkeys(("timestamp", "image", "age_s", "idle_s")),
     **{"frames": 0, "track_ids": (), "memory_bytes": 0},
 }
+
+
+def replay_reply(camera_id: str, event: Event, zones: Sequence[Zone]) -> dict[str, Any]:
+    """Describe the replay of an event."""
+    replay = event.replay
+    assert replay is not None
+    (height, width), moments = replay.shape[:2], list(replay.moments)
+    return {
+        "camera_id": camera_id,
+        "event": event,
+        "image": {"width": width, "height": height},
+        "zones": _zones(zones),
+        "complete": replay.is_complete,
+        "frames": [
+            {
+                "timestamp": one.timestamp,
+                "box": one.box,
+                "joints": [
+                    None if math.isnan(x) else {"x": x, "y": y} for x, y in one.joints.tolist()
+                ],
+                "outline": one.outline.ravel().tolist() or None,
+            }
+            for one in moments
+        ],
+    }
 
 
 def settings_from(configuration: CameraConfiguration) -> CameraSettings:

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, FiniteFloat
 
 from app.api.schemas import (
+    Box,
     Duration,
     Flat2D,
     Flat3D,
@@ -123,6 +124,11 @@ class TrackedPerson(Person):
 class Event(Model):
     """A change in a track, or in the view of the camera, at one frame."""
 
+    id: str | None = Field(
+        description="Unique, and the same whenever the event is listed; names its replay. Null in "
+        "videos.",
+        examples=["2f0c6bd5-6b1f-5d0a-9b0e-8a5a4cf4b6d3"],
+    )
     event: EventName = Field(
         description="`entered`, `left`: the track began, ended; `zone_entered`, `zone_left`; "
         "`fell`: the person fell and is down; `lying`, `arms_raised`: the posture; `obstructed`: "
@@ -225,6 +231,37 @@ class CameraEvents(Model):
 
     camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
     events: list[Event] = Field(description="At most a hundred, in order.")
+
+
+class ReplayedFrame(Model):
+    """A person at one frame."""
+
+    timestamp: Seconds = Field(description="Time of the frame, seconds.", examples=[12.4])
+    box: Box = Field(description="The person's box.")
+    joints: list[Point2D | None] = Field(
+        description="The 17 COCO keypoints in COCO order; null where they are not seen.",
+        examples=[[{"x": 429.0, "y": 128.0}]],
+    )
+    outline: list[FiniteFloat] | None = Field(
+        description="Outline of the silhouette, at most 24 corners, as `[x1, y1, x2, y2, ...]`. "
+        "Null where it is not known.",
+        examples=[[401, 120, 462, 268, 401, 268]],
+    )
+
+
+class EventReplay(Model):
+    """What was seen of a person from three seconds before an event to three seconds after it.
+
+    If the person was no longer visible, it begins three seconds before the last sighting. Positions
+    are in whole pixels of the frame; there are at most five frames a second.
+    """
+
+    camera_id: str = Field(description="Name of the camera.", examples=["yard-2"])
+    event: Event
+    image: ImageSize
+    zones: list[Zone] = Field(description="The camera's zones, as they are now.")
+    complete: bool = Field(description="Whether the three seconds after the event have passed.")
+    frames: list[ReplayedFrame] = Field(description="In order.")
 
 
 class CameraList(Model):

@@ -30,8 +30,8 @@ def say(text: str) -> None:
 
     It names the camera, as the threads of a camera are called.
     """
-    thread = threading.current_thread()
-    camera = "" if thread is threading.main_thread() else f"{thread.name}: "
+    name = threading.current_thread().name
+    camera = "" if name == threading.main_thread().name else f"{name}: "
     line = f"{time.strftime('%H:%M:%S')} {camera}{printable(text)}\n"
     with contextlib.suppress(OSError):  # A log on a full disk ends nothing.
         print(line, end="", file=sys.stderr, flush=True)

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from app.bridge import printable, say
-from app.bridge.settings import PREFIX, Settings, SettingsError, Steps, read_file, settings_from
+from app.bridge.settings import Settings, SettingsError, Steps, read_file, settings_from
 from app.bridge.watch import POLL_S, Cameras, end
 
 PROGRAM = "silhouette-pose-watch"
@@ -52,7 +52,7 @@ def run(arguments: Sequence[str] | None = None, signals: list[int] | None = None
     read, is_only = _reader(arguments)
     try:
         cameras = Cameras(read(), is_only=is_only)
-    except SettingsError as error:
+    except (SettingsError, OSError) as error:
         print(f"{PROGRAM}: {error}", file=sys.stderr)
         return 1
     while cameras.are_busy:
@@ -67,22 +67,17 @@ def run(arguments: Sequence[str] | None = None, signals: list[int] | None = None
             say("stopped")
             break
         time.sleep(POLL_S)
-    watches = cameras.watches
+    watches = cameras.watches.values()
     end(watches, signals)
     if waiting := sum(len(one.outbox) for one in watches):
+        queue = next(one.settings.queue for one in watches)
+        lost = f"{queue} cannot be written" if queue else "a queue keeps them"
         is_saved = all(one.outbox.save() for one in watches)
-        say(f"{waiting} deliveries {fate(watches[0].settings.queue, is_saved)}")
+        say(f"{waiting} deliveries {f'wait in {queue}' if is_saved else f'are lost: {lost}'}")
     refusals = [one.refusal for one in watches if one.refusal]
     for refusal in refusals:
-        print(f"{PROGRAM}: the service refuses: {printable(str(refusal))}", file=sys.stderr)
+        print(f"{PROGRAM}: the service refuses: {printable(refusal)}", file=sys.stderr)
     return 1 if refusals else 0
-
-
-def fate(queue: Path | None, is_saved: bool) -> str:
-    """Say what becomes of deliveries that still wait at the end."""
-    if is_saved:
-        return f"wait in {queue}"
-    return f"are lost: {queue} cannot be written" if queue else "are lost: a queue keeps them"
 
 
 def _reader(arguments: Sequence[str] | None) -> tuple[Callable[[], Settings], bool]:
@@ -90,9 +85,9 @@ def _reader(arguments: Sequence[str] | None) -> tuple[Callable[[], Settings], bo
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description="Cameras' frames to a service, events from it."
     )
-    add, given = parser.add_argument, os.environ.get
-    source = f"file, number of a device, or URL of a stream; - {PREFIX}SOURCE; or file of cameras"
-    add("source", help=source)
+    add = parser.add_argument
+    add("source", help="file of cameras (YAML); or video file, number of a device, URL of a stream;"
+        " - for WATCH_SOURCE")  # fmt: skip
     add("camera_id", nargs="?", help="name of the camera for the service")
     add("--url", help="of the service, by default http://127.0.0.1:8000")
     add("--fps", help="frames a second at most, by default 10")
@@ -100,23 +95,23 @@ def _reader(arguments: Sequence[str] | None) -> tuple[Callable[[], Settings], bo
     add("--webhook", help="URL for events")
     add("--mqtt", help="broker, mqtt://[user:password@]host[:port] or mqtts://")
     add("--queue", metavar="FILE", help="keeps events that wait")
-    options = vars(parser.parse_args(arguments))
-    source, camera_id = options.pop("source"), options.pop("camera_id")
-    options = {name: value for name, value in options.items() if value is not None}
+    given = parser.parse_args(arguments)
+    source, camera_id = vars(given).pop("source"), vars(given).pop("camera_id")
+    options = {name: value for name, value in vars(given).items() if value is not None}
     if camera_id is None:
         if options:
-            parser.error(f"expected the name of a camera, or no --{min(options)} beside a file")
+            parser.error(f"expected a camera_id, or no --{min(options)} beside a file of cameras")
         return lambda: read_file(Path(source)), False
-    camera = {"source": given(f"{PREFIX}SOURCE") if source == "-" else source}
-    camera |= {"fps": options.pop("fps")} if "fps" in options else {}
-    options |= {"cameras": {camera_id: camera}}
-    return lambda: settings_from(options, _option), True
+    camera = {name: options.pop(name) for name in ["fps"] if name in options}
+    camera["source"] = os.environ.get("WATCH_SOURCE") if source == "-" else source
+    return lambda: settings_from({**options, "cameras": {camera_id: camera}}, _option), True
 
 
 def _option(steps: Steps) -> str:
     """Name the argument that steps in the settings come from."""
-    name = str(steps[-1] if steps[0] == "cameras" else steps[0]).replace("_", "-")
-    return name if name == "source" else "camera_id" if len(steps) == 2 else f"--{name}"
+    if steps[0] == "cameras" and steps[-1] != "fps":
+        return "source" if steps[-1] == "source" else "camera_id"
+    return f"--{'fps' if steps[0] == 'cameras' else steps[0]}".replace("_", "-")
 
 
 if __name__ == "__main__":

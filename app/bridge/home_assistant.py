@@ -3,9 +3,8 @@
 Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. All others are
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
 ``people`` (a number), ``posture``, ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None
-while offline,
-``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then OFF) and
-``last_fall`` (its time), which stays.
+while offline, ``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then
+OFF) and ``last_fall`` (its time), which stays.
 """
 
 import contextlib
@@ -15,7 +14,7 @@ import re
 import threading
 import time
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 from urllib.parse import SplitResult, unquote
 
@@ -70,11 +69,22 @@ class HomeAssistant:
     ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
     """
 
-    def __init__(self, address: SplitResult, camera_id: str, name: str | None = None) -> None:
-        self._name = name or f"Silhouette pose {camera_id}"
+    def __init__(
+        self, address: SplitResult, camera_id: str, name: str | None = None, link: str | None = None
+    ) -> None:
         self._device = f"silhouette_pose_{slug(camera_id)}"
+        self._maker = {
+            "identifiers": [self._device],
+            "name": name or f"Silhouette pose {camera_id}",
+            "manufacturer": "silhouette-pose",
+            "model": "Camera",
+            "sw_version": VERSION,
+            **({"configuration_url": link} if link else {}),
+        }
         self._base = f"silhouette-pose/{camera_id}"
         self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
+        self._last_fall, self._events = f"{self._base}/last_fall", f"{self._base}/events"
+        self._lasting = (self._fell, self._last_fall, self._events)
         self._fell_until = self._seen_at = 0.0
         self._fall_shown = ""  # Its id.
         self._is_closed = self._is_withdrawn = False
@@ -83,24 +93,25 @@ class HomeAssistant:
         self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
         self._published: dict[str, str] = {}
         self._retry_at: dict[str, float] = {}
-        self._zones: dict[str, str] | None = None
-        # Announcements that the broker has of an earlier start, with the topics of their states.
-        self._earlier: dict[str, str] = {}
+        # Topics of states by those of announcements, also of an earlier start.
+        self._entities: dict[str, str] = {}
         self._answers: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._outage, self._outage_began = "does not answer", time.monotonic()
         self._trouble = Trouble("mqtt: the broker answers again")
         problem = {"device_class": "problem"}
         fell = {"value_template": "{{ value_json.state }}", "json_attributes_topic": self._fell}
-        self._announce("binary_sensor", "fell", "Fell", **problem, **fell)
-        self._announce("binary_sensor", "obstructed", "Obstructed", **problem)
-        self._announce("sensor", "people", "People", state_class="measurement")
-        self._announce("sensor", "posture", "Posture", device_class="enum", options=POSTURES)
+        base, enum = self._base, {"device_class": "enum", "options": POSTURES}
+        self._announce("binary_sensor", self._fell, "Fell", **problem, **fell)
+        self._announce("binary_sensor", f"{base}/obstructed", "Obstructed", **problem)
+        self._announce("sensor", f"{base}/people", "People", state_class="measurement")
+        self._announce("sensor", f"{base}/posture", "Posture", **enum)
         # These two stay as they are while the camera is offline.
         always = {"availability_topic": None}
-        self._announce("sensor", "last_fall", "Last fall", device_class="timestamp", **always)
+        moment = {"device_class": "timestamp", **always}
+        self._announce("sensor", self._last_fall, "Last fall", **moment)
         events: dict[str, Any] = {"event_types": EVENT_TYPES, "value_template": _EVENT, **always}
-        self._announce("event", "events", "Events", **events)
+        self._announce("event", self._events, "Events", **events)
         # By its name, the broker knows that an earlier connection of this camera is dead.
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
         if address.scheme == "mqtts":
@@ -127,9 +138,9 @@ class HomeAssistant:
             self._fall_shown = message["id"]
             with self._changed:
                 self._state[self._fell] = json.dumps({**message, "state": "ON"})
-                self._state[f"{self._base}/last_fall"] = message["time"]
+                self._state[self._last_fall] = message["time"]
         # Before those two, so that an automation knows which falls it was told of.
-        self._publish(f"{self._base}/events", json.dumps(message))
+        self._publish(self._events, json.dumps(message))
 
     def show(
         self,
@@ -155,18 +166,19 @@ class HomeAssistant:
             self._state[self._available] = "online"
 
     def _show_zones(self, zones: Mapping[str, bool]) -> None:
-        topics = {f"zones/{slug(name)}": name for name in zones}
-        for topic, name in topics.items():
+        shown = {f"{self._base}/zones/{slug(name)}": name for name in zones}
+        for topic, name in shown.items():
             self._announce("binary_sensor", topic, name, device_class="occupancy")
-            self._state[f"{self._base}/{topic}"] = "ON" if zones[name] else "OFF"
-        gone = {
-            self._config("binary_sensor", topic): f"{self._base}/{topic}"
-            for topic in (self._zones or {}).keys() - topics.keys()
-        }
-        known = self._state.keys()
-        gone |= {config: state for config, state in self._earlier.items() if config not in known}
-        self._state |= dict.fromkeys([*gone.keys(), *gone.values()], "")
-        self._zones, self._earlier = topics, {}
+            self._state[topic] = "ON" if zones[name] else "OFF"
+        self._clear(lambda topic: "/zones/" in topic and topic not in shown)
+
+    def _clear(self, is_meant: Callable[[str], bool]) -> None:
+        """Withdraw entities by the topics of their states."""
+        for config, topic in self._entities.items():
+            if is_meant(topic):
+                self._state[config] = ""
+                if topic != self._events:  # Which are not retained.
+                    self._state[topic] = ""
 
     def keep(self) -> None:
         """Publish what has changed; the camera is offline if no frame was answered for too long."""
@@ -196,8 +208,9 @@ class HomeAssistant:
         """Show that the camera is offline; what it sees becomes unknown."""
         with self._changed:
             self._state[self._available] = "offline"
-            for topic in ("people", "posture", "obstructed", *(self._zones or ())):
-                self._state[f"{self._base}/{topic}"] = _UNKNOWN
+            for topic in self._entities.values():
+                if topic not in self._lasting and self._state.get(topic):
+                    self._state[topic] = _UNKNOWN
 
     def withdraw(self) -> None:
         """Clear all that the broker retains of this camera, which is watched no more."""
@@ -253,23 +266,22 @@ class HomeAssistant:
         if answer.is_failure:
             raise UnavailableError(f"the broker refuses {topic}: {answer}")
 
-    def _config(self, component: str, topic: str) -> str:
-        return f"{DISCOVERY_PREFIX}/{component}/{self._device}/{topic.replace('/', '_')}/config"
-
     def _announce(self, component: str, topic: str, name: str, **fields: Any) -> None:
         """Announce an entity of Home Assistant; without the fields that are None."""
-        maker = {"manufacturer": "silhouette-pose", "model": "Camera", "sw_version": VERSION}
-        config = {
+        entity = topic.removeprefix(f"{self._base}/").replace("/", "_")
+        given = {
             "name": name,
-            "unique_id": f"{self._device}_{topic.replace('/', '_')}",
-            "state_topic": f"{self._base}/{topic}",
+            "unique_id": f"{self._device}_{entity}",
+            "state_topic": topic,
             "availability_topic": self._available,
-            "device": {"identifiers": [self._device], "name": self._name, **maker},
+            "device": self._maker,
             "origin": {"name": "silhouette-pose-watch", "sw_version": VERSION},
             **fields,
         }
-        given = {name: value for name, value in config.items() if value is not None}
-        self._state[self._config(component, topic)] = json.dumps(given)
+        config = f"{DISCOVERY_PREFIX}/{component}/{self._device}/{entity}/config"
+        self._entities[config] = topic
+        given = {name: value for name, value in given.items() if value is not None}
+        self._state[config] = json.dumps(given)
 
     def _on_connect(
         self, _client: mqtt.Client, _data: Any, _flags: Any, answer: Any, _: Any
@@ -278,15 +290,15 @@ class HomeAssistant:
             self._outage = f"refuses: {answer}" if answer.is_failure else "does not answer"
             self._published.clear()
         self._connected_at = time.monotonic()
-        self._client.subscribe(self._config("+", "+"))
+        self._client.subscribe(f"{DISCOVERY_PREFIX}/+/{self._device}/+/config")
 
     def _on_message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         """Note an announcement of an earlier start."""
         with contextlib.suppress(ValueError, KeyError, TypeError), self._changed:
             if message.retain:
-                state = self._earlier[message.topic] = json.loads(message.payload)["state_topic"]
+                self._entities[message.topic] = str(json.loads(message.payload)["state_topic"])
                 if self._is_withdrawn:
-                    self._state |= {message.topic: "", state: ""}
+                    self._clear(lambda topic: True)
 
     def _on_disconnect(self, *_: Any) -> None:
         self._outage_began = time.monotonic()

@@ -15,6 +15,7 @@ Message = Mapping[str, Any]
 
 MAX_WAITING = 100_000  # For a receiver; beyond it, the oldest are dropped.
 _POLL_S = 0.2
+_WRITING = threading.Lock()  # Cameras share a file; they would wait for each other in SQLite, too.
 _WAITS = "queue: {}: events wait in memory"
 # A message names its camera, and its id is that of no other camera.
 _SCHEMA = """
@@ -79,10 +80,11 @@ class Outbox:
             return next(iter(waiting.values()), None)
 
     def remove(self, receiver: str, message_id: str) -> None:
-        """Remove a message that its receiver has taken."""
+        """Remove a message that its receiver has taken, if it is still there."""
         with self._changed:
-            self._drop(receiver, message_id)
-            self.save()
+            if message_id in self._waiting[receiver]:
+                self._drop(receiver, message_id)
+                self.save()
 
     def _drop(self, receiver: str, message_id: str) -> None:
         del self._waiting[receiver][message_id]
@@ -114,7 +116,7 @@ class Outbox:
             put = [(*key, json.dumps(one)) for key, one in waiting.items() if one is not None]
             newest = (self._camera_id, self.newest)
             try:
-                with self._database as database:
+                with _WRITING, self._database as database:
                     database.executescript(_SCHEMA)  # The disk may have been full at the start.
                     database.executemany("delete from waiting where receiver = ? and id = ?", taken)
                     database.executemany(

@@ -55,8 +55,8 @@ def _listed(given: object) -> Sequence[object]:
     return given if isinstance(given, list | tuple) else () if given is None else [given]
 
 
-_Web = Annotated[SplitResult, _address("http", "https")]
-_Broker = Annotated[SplitResult | None, _address("mqtt", "mqtts")]
+_Web = Annotated[SplitResult, NoDecode, _address("http", "https")]
+_Broker = Annotated[SplitResult | None, NoDecode, _address("mqtt", "mqtts")]
 
 
 class Camera(CameraConfiguration):
@@ -64,12 +64,9 @@ class Camera(CameraConfiguration):
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
-    source: Annotated[str, PlainValidator(_source)]
-    """File, number of a device, or URL of a stream."""
-    name: Annotated[str, Field(min_length=1, max_length=64)] | None = None
-    """What Home Assistant calls the camera."""
-    fps: float = Field(10.0, gt=0, allow_inf_nan=False)
-    """Most frames a second."""
+    source: Annotated[str, PlainValidator(_source)]  # File, device's number, or URL of a stream.
+    name: Annotated[str, Field(min_length=1, max_length=64)] | None = None  # For Home Assistant.
+    fps: float = Field(10.0, gt=0, allow_inf_nan=False)  # At most.
 
     @property
     def configuration(self) -> dict[str, Any] | None:
@@ -85,14 +82,11 @@ class Settings(Given, BaseSettings):
         env_prefix=PREFIX, env_ignore_empty=True, coerce_numbers_to_str=True
     )
 
-    url: _Web = urlsplit("http://127.0.0.1:8000")
-    """Of the service."""
+    url: _Web = urlsplit("http://127.0.0.1:8000")  # Of the service, as the key is.
     api_key: SecretStr | None = None
-    webhook: Annotated[tuple[_Web, ...], NoDecode, BeforeValidator(_listed)] = ()
-    """One URL or several, which events are posted to."""
+    webhook: Annotated[tuple[_Web, ...], NoDecode, BeforeValidator(_listed)] = ()  # Or only one.
     mqtt: _Broker = None
-    queue: Path | None = None
-    """File that keeps events that wait."""
+    queue: Path | None = None  # A file that keeps events that wait.
     cameras: Annotated[dict[CameraId, Camera], NoDecode] = Field(min_length=1)
 
     def of(self, camera_id: str) -> "Settings":

@@ -16,7 +16,7 @@ from app.vision.judgement import JudgedReading, PhotographModels
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, Seen, agreement
 from app.vision.same_person import first_of_body
-from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.silhouettes import DrawnSilhouette, silhouettes_from_labels, silhouettes_of
 from app.vision.truncation import attenuate_visibility_at_border, end_beyond_border
 
 
@@ -43,6 +43,8 @@ class Target:
         Whether only a track, and no detection, places the person there.
     least_trust, seen
         Those of :meth:`app.vision.person_reader.PersonReader.follow`.
+    drawn : DrawnSilhouette or None
+        As drawn last; it moves along with the landmarks unless it has to be drawn again.
     """
 
     found: Detection
@@ -50,6 +52,7 @@ class Target:
     followed: bool = False
     least_trust: float = 0.0
     seen: Seen | None = None
+    drawn: DrawnSilhouette | None = None
 
     def box_of(self, reading: JudgedReading | None) -> Box:
         """The person's box; for a person who is only followed, the box about the landmarks."""
@@ -246,18 +249,22 @@ class PeopleFinder:
             bodies = [*map(_Body, targets, self.read(upload, targets, job))]
         else:
             bodies, shows = self._bodies(upload, targets, perhaps_beside, job)
+        moved = [None if cut else _moved(body, bodies, upload.frame.shape) for body in bodies]
+        to_draw = [body for body, one in zip(bodies, moved, strict=True) if one is None]
         if cut is None:
             with job.stage("keypoints"):
-                bodies = job.map(self._masked, bodies)
+                to_draw = job.map(self._masked, to_draw)
         with job.stage("segment"):
-            cut = cut or _by_masks(bodies, upload.frame.shape, job, exact=marked)
-            silhouettes = cut([body.box for body in bodies])
+            cut = cut or _by_masks(to_draw, upload.frame.shape, job, exact=marked)
+            drawn = iter(cut([body.box for body in to_draw]))
+        silhouettes = [one or next(drawn) for one in moved]
         # A detection without a silhouette is unlikely to be a person.
         kept = [row for row, one in enumerate(silhouettes) if marked or one is not None]
         people = []
         for row in kept:
             person = _person(bodies[row], silhouettes[row], source, tight=tight)
-            people.append(self._with_reading(person, bodies[row], upload, landmarks=landmarks))
+            person = self._with_reading(person, bodies[row], upload, landmarks=landmarks)
+            people.append(_with_drawn(person, bodies[row], moved[row]))
         position: dict[int | None, int] = dict(zip(kept, range(len(kept)), strict=True))
         return people, [*map(position.get, shows)]
 
@@ -337,6 +344,26 @@ class PeopleFinder:
             trust=reading.trust,
             hips=None if silhouette is None else reading.body.origin,
         )
+
+
+def _moved(body: _Body, bodies: Sequence[_Body], frame_shape: tuple[int, ...]) -> Silhouette | None:
+    """The silhouette of a body as drawn last, if it moves along; None if it has to be drawn."""
+    drawn, reading = body.target.drawn, body.reading
+    if drawn is None or reading is None or not reading.trust.is_right:
+        return None
+    if any(body.box.intersection(other.box) for other in bodies if other is not body):
+        return None
+    return drawn.on_landmarks(reading, frame_shape)
+
+
+def _with_drawn(person: Person, body: _Body, moved: Silhouette | None) -> Person:
+    """A person with the silhouette as drawn last, unless it has just moved along."""
+    if moved is not None:
+        return replace(person, drawn=body.target.drawn)
+    if body.reading is None or person.silhouette is None:
+        return person
+    positions = body.reading.landmarks.positions
+    return replace(person, drawn=DrawnSilhouette(person.silhouette, positions))
 
 
 def _by_masks(

@@ -44,8 +44,6 @@ _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
 # Visibility above which a landmark is used for matching.
 _MIN_VISIBILITY = 0.05
-# With fewer landmarks, a person is matched by the silhouette alone.
-_MIN_LANDMARKS = 4
 # Least visibility of the more visible ankle, and of the most visible point of the head, for a
 # person visible from head to feet.
 _MIN_FEET_VISIBILITY, _MIN_HEAD_VISIBILITY = 0.35, 0.2
@@ -99,7 +97,8 @@ class NormalisedPerson:
             return None
         scores = self.landmarks.visibility[_LANDMARKS]
         used = np.flatnonzero(scores > _MIN_VISIBILITY)
-        if len(used) < _MIN_LANDMARKS:
+        # With fewer landmarks, a person is matched by the silhouette alone.
+        if len(used) < 4:
             return None
         to_normalised = np.asarray(cv2.invertAffineTransform(self.to_frame), np.float64)
         positions = self.landmarks.positions[_LANDMARKS][used]
@@ -137,11 +136,6 @@ class PlacedSkeletons:
     pelvis: NDArray[np.float64]
 
 
-# Visibility below which a landmark does not move a joint.
-_MIN_MOVING_VISIBILITY = 0.05
-# Standard deviation of a landmark's depth at which the first hypothesis moves half way to it: the
-# hypothesis has been fitted to the landmarks, so it adds little information.
-_HALF_WAY_SD_M = 0.24
 # Least forward component of a joint's line of sight, and its least distance.
 _MIN_FORWARD, _MIN_DISTANCE_M = 0.05, 0.1
 
@@ -167,7 +161,8 @@ def place_skeletons(
         # A mask may be a crop: its optical axis is unknown unless the caller describes the camera.
         return placed if camera.given else replace(placed, points_3d=points_3d)
     visibility = landmarks.visibility[_SEEN_LANDMARKS]
-    visible = np.where(visibility > _MIN_MOVING_VISIBILITY, visibility, 0.0)
+    # Visibility below which a landmark does not move a joint.
+    visible = np.where(visibility > 0.05, visibility, 0.0)
     weights = np.maximum(visible, 1e-3)
     seen = landmarks.positions[_SEEN_LANDMARKS]
     line = to_line_of_sight(camera.rays(landmarks.positions[_LANDMARK_HIPS].mean(axis=0)))
@@ -184,7 +179,9 @@ def place_skeletons(
     like_first = (points_2d == points_2d[0]).all(axis=(1, 2))
     size[like_first] = size[0]
     depths = np.clip(size, *SIZE_RANGE)[:, None] * about_hips[..., 2]
-    reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / _HALF_WAY_SD_M) ** 2)
+    # Standard deviation of a landmark's depth at which the first hypothesis moves half way to it:
+    # the hypothesis has been fitted to the landmarks, so it adds little information.
+    reliability = visible / (1 + (landmarks.depth_sd[_SEEN_LANDMARKS] / 0.24) ** 2)
     moves = np.zeros_like(depths[0])
     moves[_SEEN_POINTS] = reliability * (metres[:, 2] - depths[0, _SEEN_POINTS])
     depths[like_first] += moves

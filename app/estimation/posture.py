@@ -24,9 +24,6 @@ LANDMARK_GROUPS = PostureGroups(0, *FRAME_POSTURES)
 MIN_PROBABILITY = 0.5
 """Probability from which a posture is reported; below it, the label is ``unclear``."""
 
-# Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
-# above 0.8 from a confidence of 0.2.
-_CONFIDENCE_SLOPE = 1.5
 
 PostureLabel = PostureName | Literal["unclear"]
 """``unclear`` if the probability of the likeliest posture is too small."""
@@ -63,7 +60,9 @@ def likeliest_posture(
     landmarks are doubtful as well, so the confidence of the best one limits the probability.
     """
     best = int(shares.argmax())
-    limit = MIN_PROBABILITY + _CONFIDENCE_SLOPE * confidence
+    # Probability above the minimum that a posture can reach, per confidence of the best hypothesis:
+    # above 0.8 from a confidence of 0.2.
+    limit = MIN_PROBABILITY + 1.5 * confidence
     probability = min(presence * float(shares[best]), limit)
     label = POSTURES[best] if probability >= MIN_PROBABILITY else "unclear"
     return EstimatedPosture(label, probability, shares)

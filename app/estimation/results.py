@@ -6,6 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from app.estimation.poses import NormalisedPerson
 from app.estimation.posture import EstimatedPosture
 from app.scene import Patch
 from app.vision.geometry import Box, PersonWindow
@@ -15,7 +16,8 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Landmarks, Silhouette
 from app.vision.person_reader import Seen
 from app.vision.rectification import Rectification
-from index.matching import PoseHypothesis
+from app.vision.silhouettes import DrawnSilhouette
+from index.matching import Match, PoseHypothesis
 from index.skeleton import wrap_degrees
 from index.store import Label
 
@@ -64,6 +66,14 @@ class ProjectedHypothesis(PoseHypothesis):
 
 
 @dataclass(frozen=True)
+class Matched:
+    """What was found for a silhouette and its landmarks."""
+
+    normalised: NormalisedPerson
+    found: Match
+
+
+@dataclass(frozen=True)
 class Person:
     """A person of a frame: as observed and, once poses are fitted, with the poses.
 
@@ -72,8 +82,9 @@ class Person:
     follows from them, including ``trust`` and the frame's posture, are None if no landmarks were
     read. ``presence``, from the trust, is the probability that the window of the reading shows a
     person. ``next_window`` is to be read in the next frame, ``seen_keypoints`` are MoveNet's
-    relative to the landmarks. ``beside`` says that the network saw the person only while others
-    were painted over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked person.
+    relative to the landmarks, ``drawn`` is the silhouette as drawn last and ``matched`` what was
+    found for it. ``beside`` says that the network saw the person only while others were painted
+    over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked person.
     ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses come best
     first; without a silhouette there are no hypotheses, colours, facing or posture.
     """
@@ -86,6 +97,8 @@ class Person:
     presence: float | None = None
     next_window: PersonWindow | None = None
     seen_keypoints: Seen | None = None
+    drawn: DrawnSilhouette | None = None
+    matched: Matched | None = None
     beside: bool = False
     patch: Patch | None = None
     colours: NDArray[np.float32] | None = None
@@ -99,6 +112,11 @@ class Person:
     @property
     def whole_box(self) -> Box:
         return self.box if self.silhouette is None else self.silhouette.box
+
+    @property
+    def moved_along(self) -> bool:
+        """Whether the silhouette is one of an earlier frame, moved along with the landmarks."""
+        return self.drawn is not None and self.drawn.silhouette is not self.silhouette
 
     @property
     def window_empty(self) -> bool:

@@ -29,26 +29,12 @@ from app.vision.masks import LabelImage, decode_mask, mask_of
 from app.vision.optics import UNKNOWN_OPTICS, Optics, PinholeCamera
 from app.vision.rectification import Rectification
 
-_MAX_FRAMES_OF_PEOPLE = 4
-"""A caller's boxes may together cover this many times the area of the largest frame. The boxes of a
-crowd overlap less, and the work on people grows with their pixels."""
-
 MIN_BOX_PX = 0.01
 """Shortest side of a caller's box: a unit of the last digit of a reply."""
 
-_MIN_LONGER_SIDE_PX = 2
-"""Least longer side of a box in pixels: no person is smaller. Sides of a box that was sent in
-fractions of the frame are at most 1."""
-
-_MIN_FIGURE_SHARE = 0.25
-"""Area of the smallest part of a mask that may be a person, as a share of the largest part's."""
 
 _MIN_FIGURE_PX = 48
 """Height of the smallest part of a mask that may be a person."""
-
-_MIN_GAP_SHARE = 0.5
-"""Parts of a mask are different people if the gap between them is wider than this share of the
-narrower one."""
 
 
 UploadFault = Literal["undecodable", "too_large", "misfit"]
@@ -139,7 +125,7 @@ def _check_kind(name: str, given: object) -> None:
     )
 
 
-def _check_list(name: str, given: object, kind: type) -> None:
+def _check_list(name: str, given: Any, kind: type) -> None:
     if given is None:
         return
     if (
@@ -320,7 +306,9 @@ class UploadDecoder:
 
     def _check_area(self, name: str, boxes: Sequence[Box]) -> None:
         """Bound the work on people, which grows with the pixels of their boxes."""
-        most, area = _MAX_FRAMES_OF_PEOPLE * self.max_pixels, sum(box.area for box in boxes)
+        # A caller's boxes may together cover this many times the area of the largest frame. The
+        # boxes of a crowd overlap less, and the work on people grows with their pixels.
+        most, area = 4 * self.max_pixels, sum(box.area for box in boxes)
         if area > most:
             raise UploadError(
                 name,
@@ -349,7 +337,8 @@ def _check_together(mask: LabelImage) -> None:
     marked = np.asarray(mask.part != 0).view(np.uint8)
     stats = cv2.connectedComponentsWithStats(marked)[2][1:]
     areas = stats[:, cv2.CC_STAT_AREA]
-    large = stats[areas >= _MIN_FIGURE_SHARE * areas.max()]
+    # Area of the smallest part of a mask that may be a person, as a share of the largest part's.
+    large = stats[areas >= 0.25 * areas.max()]
     apart = 1 + _gaps_between_people(large[np.argsort(large[:, cv2.CC_STAT_LEFT], kind="stable")])
     if apart > 1:
         raise UploadError(
@@ -368,12 +357,16 @@ def _gaps_between_people(parts: NDArray[np.int32]) -> int:
     small = np.minimum(height[:-1], height[1:])
     alike = (small >= _MIN_FIGURE_PX) & (np.maximum(height[:-1], height[1:]) < 2 * small)
     gap = left[1:] - (left + width)[:-1]
-    wide = gap > _MIN_GAP_SHARE * np.minimum(width[:-1], width[1:])
+    # Parts of a mask are different people if the gap between them is wider than this share of the
+    # narrower one.
+    wide = gap > 0.5 * np.minimum(width[:-1], width[1:])
     return int(np.count_nonzero(alike & wide))
 
 
 def _clip(box: Box, frame: NDArray[np.uint8], position: int) -> Box:
-    if max(box.width, box.height) < _MIN_LONGER_SIDE_PX:
+    # Least longer side of a box in pixels: no person is smaller. Sides of a box that was sent in
+    # fractions of the frame are at most 1.
+    if max(box.width, box.height) < 2:
         raise UploadError(
             "boxes",
             "expected boxes [x, y, width, height] in pixels, not fractions of the frame, "

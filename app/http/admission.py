@@ -19,8 +19,6 @@ from app.scheduling.job import BusyError
 
 # An upload slower than this after the grace period is aborted.
 UPLOAD_GRACE_S, MIN_BYTES_PER_S = 5.0, 4096
-# Share of the open uploads, and of their memory, that one caller may have.
-CALLER_SHARE = 0.75
 # An upload without data for so long makes room for another one, and so does an unread reply.
 STALLED_S, UNREAD_S = 1.0, 10.0
 
@@ -205,7 +203,8 @@ def _has_room(
 ) -> bool:
     """Whether one caller's upload may take more room; if need be, a stalled one makes it."""
     own = [upload for upload in uploads if upload.caller == caller]
-    if sum(map(size, own)) >= CALLER_SHARE * most:
+    # Share of the open uploads, and of their memory, that one caller may have.
+    if sum(map(size, own)) >= 0.75 * most:
         return _make_room(own)
     return sum(map(size, uploads)) < most or _make_room(uploads)
 

@@ -13,7 +13,12 @@ from starlette.types import Receive, Scope, Send
 
 from app.api.schemas import Problem
 from app.camera import LateFrameError
-from app.cameras import NoSessionsError, TooManyCamerasError, UnknownCameraError
+from app.cameras import (
+    NoSessionsError,
+    TooManyCamerasError,
+    UnknownCameraError,
+    UnknownEventError,
+)
 from app.decoding.videos import VideoError
 from app.estimation.upload import UploadError
 from app.http.routing import RouteTable, request_state
@@ -24,6 +29,7 @@ from index.search import SearchUnavailableError
 MEDIA_TYPE = "application/problem+json"
 
 _A_CAMERA = "expected a camera that has sent frames of late or is configured"
+_AN_EVENT = "expected the id of an event of a person that the camera lists"
 _UPLOAD_STATUS = {"undecodable": 400, "too_large": 413, "misfit": 422}
 
 
@@ -104,6 +110,10 @@ def register_error_handlers(app: FastAPI, table: RouteTable) -> None:
     answer(TooManyCamerasError, lambda error: conflict(error, "too_many_cameras"))
     answer(NoSessionsError, lambda error: ProblemError(404, str(error), reason="no_sessions"))
     answer(UnknownCameraError, lambda error: ProblemError(404, f"{_A_CAMERA}, got {error.args[0]}"))
+    answer(
+        UnknownEventError,
+        lambda error: ProblemError(404, f"{_AN_EVENT}, got {shortened(error.args[0])}"),
+    )
     answer(SearchUnavailableError, lambda _: overloaded(SEARCH_FAILED, "unavailable", 2))
     answer(RequestValidationError, _validation_problem)
 

@@ -42,8 +42,6 @@ SETTLING_S, MAX_STEP_S = 0.5, 0.34
 """Time constant for events of a person, and the most time that a single frame counts for: just too
 short to begin an event."""
 
-# Filtered probability at which an event begins.
-_BEGINS_FROM = 0.5
 
 ENDS_BELOW = 0.2
 """Filtered probability below which an event ends."""
@@ -71,7 +69,8 @@ class Hysteresis(LowPass):
     def change(self, probability: float, seconds: float) -> Change | None:
         """Add a frame as :meth:`update` does; return the change of state, if any."""
         level = self.update(probability, seconds)
-        if not self.holds and level >= _BEGINS_FROM:
+        # Filtered probability at which an event begins.
+        if not self.holds and level >= 0.5:
             self.holds = True
             return "begin"
         if self.holds and level < ENDS_BELOW:

@@ -9,7 +9,8 @@ from pydantic import ValidationError
 from starlette.types import Scope
 
 from app.api import tracking_schemas as schemas
-from app.api.replies import camera_reply, settings_from, tracked_fields
+from app.api.replay_picture import encode_replay
+from app.api.replies import camera_reply, replay_reply, settings_from, tracked_fields
 from app.cameras import CameraKey, CameraSessions, Wanted
 from app.configuration import (
     CAMERA_PATTERN,
@@ -22,7 +23,7 @@ from app.http.errors import ProblemError, invalid
 from app.http.identity import Identity, RequireKey, identity_of
 from app.http.routing import request_state
 from app.messages import located
-from app.routes.openapi import documented, documented_json
+from app.routes.openapi import BINARY, documented, documented_json
 from app.routes.queries import GivenOnce, NoQuery, TrackQuery, estimator_for, hypotheses_of
 from app.routes.uploads import DOCUMENTED_TRACK_UPLOAD, TrackUploadForm
 from app.scheduling.job import Job
@@ -109,7 +110,8 @@ async def track_frame(
     timestamp = given[0] if given else None
 
     def work(job: Job) -> bytes:
-        wanted = Wanted(hypotheses_of(query), query.evidence)
+        drawn = query.silhouettes != "none"
+        wanted = Wanted(hypotheses_of(query), query.evidence, drawn)
         tracked = sessions.process(camera, estimator, upload, timestamp, job, wanted)
         _set_session_header(request, tracked.session)
         runtime.metrics.camera_frames.labels(tracked.session).inc()
@@ -163,6 +165,36 @@ async def list_camera_events(request: Request, camera: Camera) -> schemas.Camera
     """
     events = runtime_of(request).sessions.events(camera)
     return schemas.CameraEvents.model_validate({"camera_id": camera.camera_id, "events": events})
+
+
+@router.get(
+    "/{camera_id}/events/{event_id}/replay",
+    operation_id="replay_event",
+    summary="What was seen of an event, without a photograph",
+    dependencies=[NoQuery],
+    response_class=Response,
+    responses={
+        200: {
+            "description": "An animated WebP image, `image/webp`; with `Accept: application/json`, "
+            "what it draws.",
+            "content": {**BINARY, **documented_json(schemas.EventReplay)},
+        },
+        **documented(401, 404, 422, 503),
+    },
+)
+async def replay_event(request: Request, camera: Camera, event_id: str) -> Response:
+    """Draw the outlines of the person of an event, from three seconds before to three after.
+
+    Silhouette, skeleton and box are drawn on an empty ground with the camera's zones; of no frame
+    is a pixel kept. Until the three seconds have passed, it has what there is so far. It is kept
+    as long as `events` lists the event.
+    """
+    event, zones = runtime_of(request).sessions.replay(camera, event_id)
+    if request.headers.get("accept") == "application/json":
+        reply = schemas.EventReplay.model_validate(replay_reply(camera.camera_id, event, zones))
+        return Response(reply.model_dump_json(), media_type="application/json")
+    content = await run_frame(request, lambda _: encode_replay(event, zones), kind="replay")
+    return Response(content, media_type="image/webp")
 
 
 # The configuration is parsed here, after the key is checked, so that any error is one sentence.

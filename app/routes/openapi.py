@@ -60,6 +60,7 @@ def add_openapi(app: FastAPI) -> None:
             for model in (
                 Problem,
                 CameraConfiguration,
+                tracking.EventReplay,
                 tracking.SequenceResponse,
                 *_FORMS,
             ):

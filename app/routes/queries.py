@@ -145,14 +145,10 @@ class OverlayQuery(_CameraQuery):
     segmenter: _Segmenter = None
 
 
-class PoseQuery(_CameraQuery):
+class PoseQuery(OverlayQuery):
     """Query parameters of the poses in a frame."""
 
     n: _HypothesisCount = DEFAULT_HYPOTHESES
-    keypoints: _KeypointSet = "native"
-    evidence: _Evidence = "photograph"
-    method: _Method = None
-    segmenter: _Segmenter = None
     silhouettes: Annotated[
         schemas.SilhouetteForm,
         Field(
@@ -212,7 +208,7 @@ class TrackQuery(PoseQuery):
     ] = None
 
 
-class SequenceQuery(_CameraQuery):
+class SequenceQuery(OverlayQuery):
     """Query parameters of a video."""
 
     max_frames: Annotated[
@@ -226,10 +222,6 @@ class SequenceQuery(_CameraQuery):
         WHOLE_NUMBER,
     ] = None
     n: _HypothesisCount = DEFAULT_HYPOTHESES
-    keypoints: _KeypointSet = "native"
-    evidence: _Evidence = "photograph"
-    method: _Method = None
-    segmenter: _Segmenter = None
     joints: _Joints = "full"
     stride: Annotated[
         int,
@@ -242,9 +234,7 @@ class SequenceQuery(_CameraQuery):
         return ReplyForm(KEYPOINT_SETS[self.keypoints], joints=self.joints)
 
 
-def estimator_for(
-    estimator: Estimator, query: OverlayQuery | PoseQuery | SilhouetteQuery | SequenceQuery
-) -> Estimator:
+def estimator_for(estimator: Estimator, query: OverlayQuery | SilhouetteQuery) -> Estimator:
     """Return the estimator of the method that a query asks for; a 422 if there is none."""
     try:
         chosen = estimator.by(query.method, query.segmenter)

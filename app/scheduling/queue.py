@@ -30,9 +30,6 @@ from app.scheduling.job import BusyError
 
 # Share of the longest wait up to which frames are admitted; the rest is the estimates' error.
 ADMIT_SHARE = 0.75
-_UNMEASURED_S = 0.1  # Assumed duration of a kind of work that has not been measured yet.
-_NEWEST_WEIGHT = 0.2  # Weight of the newest duration in the running mean.
-_MAX_CALLERS = 1000  # Above this, callers without a waiting frame are forgotten.
 _MAX_RETRY_S = 30
 
 
@@ -162,7 +159,8 @@ class FairQueue:
             if worked:
                 took_s, kind = self._clock() - ticket.began_at, ticket.kind
                 before_s = self._duration_s.get(kind, took_s)
-                self._duration_s[kind] = before_s + _NEWEST_WEIGHT * (took_s - before_s)
+                # Weight of the newest duration in the running mean.
+                self._duration_s[kind] = before_s + 0.2 * (took_s - before_s)
         elif ticket in self._waiting:
             self._waiting.remove(ticket)
         self._advance()
@@ -192,7 +190,8 @@ class FairQueue:
         self._virtual_s = max(self._virtual_s, finish_s - self._estimate_s(kind))
         self._finish_s[caller] = finish_s
         self._kinds[caller] = self._last_kind = kind
-        if len(self._finish_s) > _MAX_CALLERS:
+        # Above this, callers without a waiting frame are forgotten.
+        if len(self._finish_s) > 1000:
             waiting = {ticket.caller for ticket in self._waiting}
             self._finish_s = {c: s for c, s in self._finish_s.items() if c in waiting}
             self._kinds = {c: kind for c, kind in self._kinds.items() if c in waiting}
@@ -249,4 +248,5 @@ class FairQueue:
         return free[0]
 
     def _estimate_s(self, kind: Hashable) -> float:
-        return self._duration_s.get(kind, _UNMEASURED_S)
+        # Assumed duration of a kind of work that has not been measured yet.
+        return self._duration_s.get(kind, 0.1)

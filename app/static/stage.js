@@ -161,8 +161,14 @@ export function drawTracks(canvas, { photo, answer, shown, chosen, zones = [] })
 
 const ZONES = { rest: "#7cc4ff", watch: "#ffd34d" };
 
-/** Draw a zone; an unfinished one is open, with its corners marked. */
-function drawZone(context, { kind, polygon, open = false }, line) {
+/** Draw a zone; an unfinished one is open, with its corners and the cursor of the keyboard marked. */
+function drawZone(context, { kind, polygon, open = false, cursor }, line) {
+  if (open && cursor) {
+    const [x, y] = cursor;
+    context.strokeStyle = ZONES[kind];
+    context.lineWidth = 1.5 * line;
+    context.strokeRect(x - 5 * line, y - 5 * line, 10 * line, 10 * line);
+  }
   if (!polygon.length) return;
   context.beginPath();
   for (const [x, y] of polygon) context.lineTo(x + 0.5, y + 0.5);

@@ -54,6 +54,11 @@ export class VideoView {
       this.#draw();
     });
     $("live").addEventListener("click", (event) => this.#click(event));
+    $("live").addEventListener("keydown", (event) => {
+      if (!this.#shown || !this.#zones.isDrawing) return;
+      const { image } = this.#shown.answer;
+      if (this.#zones.key(event, image, fitted($("live"), image).scale)) event.preventDefault();
+    });
   }
 
   /** Track the people of a video file; the last view stays until its first frame is answered. */

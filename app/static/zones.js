@@ -7,6 +7,14 @@ const CLOSE_PX = 10;
 
 const MAX_CORNERS = 64;
 
+/** Pixels of the screen by which a key moves the cursor; one with Shift. */
+const KEY_PX = 10;
+
+const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+const within = (point, { width, height }) =>
+  point.map((value, axis) => Math.round(10 * Math.max(0, Math.min([width, height][axis] - 1, value))) / 10);
+
 export class ZoneEditor {
   #host;
   #zones = [];
@@ -69,10 +77,25 @@ export class ZoneEditor {
       this.#close();
       return;
     }
-    const within = (value, size) => Math.round(10 * Math.max(0, Math.min(size - 1, value))) / 10;
-    polygon.push([within(x, width), within(y, height)]);
+    polygon.push(within([x, y], { width, height }));
     this.#show();
     this.#host.redraw();
+  }
+
+  /** Move the cursor, or set or take back a corner; returns whether the key does so. */
+  key({ key, shiftKey }, size, scale) {
+    const draft = this.#draft;
+    draft.cursor ??= [size.width / 2, size.height / 2];
+    const [x, y] = KEYS[key] ?? [];
+    if (x !== undefined) {
+      const step = (shiftKey ? 1 : KEY_PX) / scale;
+      draft.cursor = within([draft.cursor[0] + x * step, draft.cursor[1] + y * step], size);
+    } else if (key === "Enter" || key === " ") this.click(draft.cursor, size, scale);
+    else if (key === "Backspace") draft.polygon.pop();
+    else return false;
+    this.#show();
+    this.#host.redraw();
+    return true;
   }
 
   #begin() {
@@ -80,6 +103,7 @@ export class ZoneEditor {
     this.#host.drawing(true);
     this.#complain("");
     this.#show();
+    $("live").focus();
   }
 
   #close() {
@@ -142,6 +166,12 @@ export class ZoneEditor {
     $("close-zone").disabled = (draft?.polygon.length ?? 0) < 3;
     $("zone-form").hidden = !draft || draft.open;
     $("live").classList.toggle("drawing", Boolean(draft?.open));
+    // Screen readers then pass on the arrow keys.
+    $("live").setAttribute("role", draft?.open ? "application" : "img");
+    if (draft?.open) $("live").tabIndex = 0;
+    else $("live").removeAttribute("tabindex");
+    const at = draft?.cursor?.map(Math.round).join(", ");
+    $("zone-cursor").textContent = draft?.open && at ? `Corner ${draft.polygon.length + 1}: ${at}` : "";
     $("zones").replaceChildren(...this.#zones.map((zone) => this.#item(zone)));
     $("zones-use").hidden = !this.#zones.length;
     if (this.#zones.length) this.#showCommand();

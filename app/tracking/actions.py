@@ -160,10 +160,6 @@ def shipped_model() -> ActionModel:
 WINDOW_S = 3.0
 """Motion from which an action is recognised."""
 
-# The shortest motion that suffices.
-_MIN_WINDOW_S = 1.0
-# Time between two results: actions change slowly.
-_EVERY_S = 0.5
 # Poses closer together only add memory: motion is sampled at 10 Hz.
 _MIN_STEP_S = 1 / 40
 # After a longer gap without a pose the window starts afresh.
@@ -194,9 +190,11 @@ class ActionRecogniser:
         """
         timestamp = sample.timestamp
         self._add_sample(sample, () if posture else person.voters)
-        if timestamp - self._window[0][0].timestamp < _MIN_WINDOW_S:
+        # The shortest motion that suffices.
+        if timestamp - self._window[0][0].timestamp < 1.0:
             return None
-        if timestamp - self._last_at >= _EVERY_S:
+        # Time between two results: actions change slowly.
+        if timestamp - self._last_at >= 0.5:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
@@ -231,14 +229,11 @@ class ActionRecogniser:
         return RecognisedAction(self._model.actions[best], float(probabilities[best]))
 
 
-# Factor of an action that the posture of the moment contradicts.
-_MIN_POSTURE = 0.1
-
-
 def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArray[np.float64]:
     """Factors ``(A,)`` that say how well each action agrees with a posture."""
     shown = [posture.share(_SHOWN_BY.get(action, _ON_THE_SPOT)) for action in actions]
-    return _MIN_POSTURE + np.array(shown)
+    # Factor of an action that the posture of the moment contradicts.
+    return 0.1 + np.array(shown)
 
 
 def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:

@@ -20,8 +20,6 @@ from app.vision.people import Landmarks, landmark_rows
 
 _PARTS = [landmark_rows(part) for part in ("ear", "shoulder", "hip", "knee", "ankle")]
 _EARS, _SHOULDERS, _HIPS, _, _ANKLES = _PARTS
-# Of the five parts, the lowest show what a body lies on: people also raise their heads and knees.
-_LOWEST = 3
 
 # Standing people who are seen from head to foot: least probabilities of the posture and of right
 # landmarks, least visibility of ears and ankles.
@@ -197,7 +195,9 @@ class Floor:
             below = np.exp(state[4]) * (
                 _placed(landmarks, wide)[_PARTS].mean(axis=1) @ _down(state)
             )
-            return float(np.exp(state[2]) - np.sort(below)[-_LOWEST:].mean())
+            # Of the five parts, the lowest show what a body lies on: people also raise their heads
+            # and knees.
+            return float(np.exp(state[2]) - np.sort(below)[-3:].mean())
 
         mean, step = over_floor(state), 1e-4
         slopes = np.array([(over_floor(state + one) - mean) / step for one in step * np.eye(5)])

@@ -38,9 +38,13 @@ LOOK_EVERY_S = 0.2
 are exchanged stay so for too long: a balancing person, camera 2 of Pose2Sim at 30 frames a second,
 is read with 105 instead of 95 mm."""
 
-UNCHANGED_SEARCH_EVERY_S = 0.8
-"""Time between two searches if nothing has changed around the tracked people since the first: a
-search would find nobody new."""
+DRAWN_EVERY_S = 0.4
+"""Time between two silhouettes of such a person, and between two matches of them, unless every one
+is wanted or the body changes its shape."""
+
+CALM_SEARCH_EVERY_S = 0.8
+"""The same if all of them are read surely, so that a search only finds new people, or if nothing
+has changed around them since the last search, so that it only checks them."""
 
 STILL_SEARCH_EVERY_S = 3.0
 """Time between two searches while nothing changes around them."""
@@ -67,12 +71,21 @@ class TrackedPeopleDetector:
         self._searched_at = self._read_at = -math.inf
         self._left_out = 0  # People whom the last search left out.
         self._looked_at: dict[Track, float] = {}  # When MoveNet looked at each tracked person.
+        self._draws_all = True
         self.scene = Scene()
 
     def find(
-        self, upload: DecodedUpload, timestamp: float, tracks: Sequence[Track], job: Job
+        self,
+        upload: DecodedUpload,
+        timestamp: float,
+        tracks: Sequence[Track],
+        job: Job,
+        *,
+        drawn: bool = True,
     ) -> tuple[list[Person], dict[int, Track]]:
         """Find the people of a frame with their silhouettes and landmarks, given all tracks.
+
+        Unless every silhouette is to be ``drawn``, some move along with the landmarks.
 
         Returns
         -------
@@ -80,6 +93,7 @@ class TrackedPeopleDetector:
         in_window : dict
             Maps the position of each person found in a track's window to that track.
         """
+        self._draws_all = drawn
         self._looked_at = {one: self._looked_at.get(one, one.seen_at) for one in tracks}
         found, beside, followed, unchanged = self._targets(upload, timestamp, tracks, job)
         targets = [*found, *(self._followed(*one, timestamp) for one in followed.items())]
@@ -153,8 +167,9 @@ class TrackedPeopleDetector:
             return STILL_SEARCH_EVERY_S if state.tracks else EMPTY_SEARCH_EVERY_S
         if not state.tracks:
             return 0.0 if self.scene.has_just_changed(timestamp) else SEARCH_EVERY_S
-        changed = self.scene.has_changed_since(self._searched_at)
-        return UNCHANGED_SEARCH_EVERY_S if state.all_in_windows and not changed else SEARCH_EVERY_S
+        unchanged = not self.scene.has_changed_since(self._searched_at)
+        calm = unchanged or all(track.trusted for track in state.tracks)
+        return CALM_SEARCH_EVERY_S if state.all_in_windows and calm else SEARCH_EVERY_S
 
     def _searched(
         self,
@@ -202,10 +217,12 @@ class TrackedPeopleDetector:
         place = Detection(track.box_filter.predict(timestamp), track.score)
         # That trust wavers is no reason to read other windows.
         least_trust = _LOST_TRUST if track.trusted else 0.0
+        is_new = timestamp - track.drawn_at < DRAWN_EVERY_S
+        drawn = track.drawn if is_new and not self._draws_all else None
         if timestamp - self._looked_at[track] < LOOK_EVERY_S:
-            return Target(place, window, True, least_trust, track.seen_keypoints)
+            return Target(place, window, True, least_trust, track.seen_keypoints, drawn)
         self._looked_at[track] = timestamp
-        return Target(place, window, True, least_trust)
+        return Target(place, window, True, least_trust, drawn=drawn)
 
 
 class _Wanted(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from app.estimation.results import Person
+from app.estimation.results import Matched, Person
 from app.vision.halved import Frame
 
 # A person who has not moved for `_UNCHANGED_FOR_S` is estimated only every `_ESTIMATED_EVERY_S`. By
@@ -23,6 +23,11 @@ class LastEstimate:
     def outline_bytes(self) -> int:
         silhouette = self._person and self._person.silhouette
         return silhouette.crop.nbytes if silhouette else 0
+
+    @property
+    def matched(self) -> Matched | None:
+        """What was found for the person's silhouette as drawn last."""
+        return self._person.matched if self._person else None
 
     def update(self, person: Person, timestamp: float) -> None:
         if person is not self._person:

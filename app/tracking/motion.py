@@ -45,9 +45,6 @@ _WINDOW_S, _MIN_FRAMES = 1.0, 3
 # Least elevation for a velocity, since its direction matters, and least sine of the elevation for
 # the path that actions are recognised from, since its noise must not look like steps.
 _MIN_ELEVATION_DEG, _MIN_PATH_SINE = 6.0, 0.35
-# Elevation from which steps away from the camera count in full for the speed. For a lower camera,
-# such steps hardly change the height in the picture.
-_RELIABLE_ELEVATION_DEG = 20.0
 
 
 class GroundMotion:
@@ -85,7 +82,9 @@ class GroundMotion:
         min_rise = np.sin(np.deg2rad(_MIN_ELEVATION_DEG))
         rise = np.copysign(max(abs(rise), min_rise), rise)
         right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
-        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(_RELIABLE_ELEVATION_DEG)))
+        # Elevation from which steps away from the camera count in full for the speed. For a lower
+        # camera, such steps hardly change the height in the picture.
+        reliable = min(1.0, abs(rise) / np.sin(np.deg2rad(20.0)))
         return GroundVelocity(float(right), float(away), float(np.hypot(right, reliable * away)))
 
 
@@ -109,12 +108,6 @@ BINS = 36
 # Standard deviations: of the turn of a person within a second; of the azimuth of a right
 # hypothesis, for small and for large people; of the angle between walking and facing direction.
 _TURN_DEG, _SEEN_DEG, _CLEARLY_SEEN_DEG, _WALKING_DEG = 80.0, 20.0, 15.0, 40.0
-# Rate of jumps to any other heading: detection and identity may be wrong.
-_JUMPS_PER_S = 0.05
-# Share of frames in which no hypothesis faces the right way.
-_OUTLIER_SHARE = 0.2
-# Share of people walking in any other direction than they face.
-_BACKWARD_SHARE = 0.1
 # Weight of the walking direction, which is measured over a second; the speed from which it is used,
 # and the speed from which it has this weight.
 _DIRECTION_WEIGHT = 0.3
@@ -124,8 +117,6 @@ _MIN_WALKING_M_S, _FULL_WALKING_M_S = 0.5, 1.0
 _SWITCH_FROM = 0.8
 MIN_TURNED_DEG = 2.0
 """Least turn of the shoulders from the exact side view."""
-# Frame rate above which each frame counts less.
-_INDEPENDENT_HZ = 6.0
 
 _CENTRES_DEG = (np.arange(BINS) + 0.5) * 360 / BINS - 180
 _FRONT = np.abs(_CENTRES_DEG) < 90
@@ -180,12 +171,14 @@ class HeadingFilter:
             shares, independence = self._predict(timestamp, *self._last)
         ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), _WALKING_DEG)[0]
         weight = _DIRECTION_WEIGHT * self.walking_weight(velocity) * independence
-        shares = shares * _with_outliers(ahead, _BACKWARD_SHARE) ** weight
+        # Share of people walking in any other direction than they face.
+        shares = shares * _with_outliers(ahead, 0.1) ** weight
         seen = weights @ _normal_about(
             azimuths_deg,
             clarity * _CLEARLY_SEEN_DEG + (1 - clarity) * _SEEN_DEG,
         )
-        shares = shares * _with_outliers(seen, _OUTLIER_SHARE) ** independence
+        # Share of frames in which no hypothesis faces the right way.
+        shares = shares * _with_outliers(seen, 0.2) ** independence
         shares /= shares.sum()
         heading = Heading(shares, self._sees_front(float(shares[_FRONT].sum())))
         self._last = timestamp, heading
@@ -202,8 +195,10 @@ class HeadingFilter:
         """The predicted distribution, and how independent a frame is of the previous one."""
         elapsed = timestamp - before
         shares = last.shares @ _normal_about(_CENTRES_DEG, _TURN_DEG * np.sqrt(elapsed))
-        jumps = 1 - float(np.exp(-_JUMPS_PER_S * elapsed))
-        return _with_outliers(shares, jumps), min(1.0, _INDEPENDENT_HZ * elapsed)
+        # Rate of jumps to any other heading: detection and identity may be wrong.
+        jumps = 1 - float(np.exp(-0.05 * elapsed))
+        # Frame rate above which each frame counts less.
+        return _with_outliers(shares, jumps), min(1.0, 6.0 * elapsed)
 
     def _sees_front(self, probability: float) -> bool:
         """Whether the camera sees the front, from the last side and its current probability."""

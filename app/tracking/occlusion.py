@@ -7,8 +7,6 @@ from app.vision.geometry import Box
 
 # Time for which the place of a hidden person is predicted.
 PREDICTED_FOR_S = 2.0
-# Share of a person's box that another must cover to hide them.
-_HIDDEN_SHARE = 0.5
 
 
 def covered_share(track: Track, place: Box, tracks: Sequence[Track], timestamp: float) -> float:
@@ -39,5 +37,6 @@ def hidden_box(
         for other in tracks
         if other is not track and other.seen_at == timestamp
     )
-    hides = any(other.intersection(box) >= _HIDDEN_SHARE * box.area for other in others)
+    # Share of a person's box that another must cover to hide them.
+    hides = any(other.intersection(box) >= 0.5 * box.area for other in others)
     return box if hides else None

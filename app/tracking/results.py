@@ -1,6 +1,6 @@
 """Results of tracking for a frame: people with identities, smoothed poses, actions, events."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from app.configuration import EventName
 from app.estimation.results import Estimate, Person
+from app.tracking.replay import Replay
 
 EventState = Literal["begin", "end", "instant", "unconfirmed"]
 SessionState = Literal["new", "warm"]
@@ -45,7 +46,8 @@ class Event:
     ``unconfirmed`` if it had only begun to show at the last frame. The zones are those that the
     person is in, or the one that they entered or left; ``dwell_s``, only with ``zone_left``, is how
     long they were in it. ``lost`` is whether a fallen person was no longer visible; ``on_floor``,
-    with ``lying`` and ``fell`` alone, that of :class:`TrackedPerson`.
+    with ``lying`` and ``fell`` alone, that of :class:`TrackedPerson`. The ``id`` is unique; events
+    of videos have none. The replay of a person's event grows for some seconds.
     """
 
     event: EventName
@@ -58,6 +60,8 @@ class Event:
     dwell_s: float | None = None
     lost: bool = False
     on_floor: float | None = None
+    id: str | None = None
+    replay: Replay | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, kw_only=True)

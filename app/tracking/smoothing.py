@@ -29,18 +29,11 @@ _SHOULDERS, _HIPS = side_rows("shoulder"), side_rows("hip")
 
 # Largest cost of a move: no move is impossible, since detection and identity may be wrong.
 _MAX_COST = 48.0
-# Poses at this distance from the most probable one weigh 60 % of it.
-_NEARBY_M = 0.25
-# Exponent of probabilities: frames are not independent.
-_SHARPNESS = 0.5
 # Time over which a line is fitted to the averages, for landmarks of full weight (they follow quick
 # limbs); and the largest number of frames in any line.
 _LANDMARK_LINE_S, _MAX_LINE_FRAMES = 0.12, 24
 EXTRAPOLATED_S = 1.0
 """A pose is kept this long without a silhouette."""
-# Log odds that a kept pose loses in a second; measured on the clips that the confidence was fitted
-# on.
-_LOST_PER_S = 5.0
 # Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and of
 # the share of probability near it; `evaluate tracking --fit-tracks` at 701c017c.
 _CONFIDENCE_OFFSET, _HYPOTHESES_WEIGHT, _AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
@@ -169,7 +162,9 @@ class PoseSmoother:
         if age_s > EXTRAPOLATED_S:
             return None
         pose, before = self._last
-        odds = log_odds(pose.confidence) - _LOST_PER_S * age_s
+        # Log odds that a kept pose loses in a second; measured on the clips that the confidence was
+        # fitted on.
+        odds = log_odds(pose.confidence) - 5.0 * age_s
         return replace(
             pose,
             points_2d=pose.points_2d + _Place.of(person).minus(before),
@@ -269,7 +264,8 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """Weights ``(N,)``, of sum 1, of the states near the most probable one."""
         relative = log_probabilities - log_probabilities.max()
-        softened = np.exp(_SHARPNESS * relative)
+        # Exponent of probabilities: frames are not independent.
+        softened = np.exp(0.5 * relative)
         weights = softened * self._nearness(points_3d, log_probabilities)
         return np.asarray(weights / weights.sum())
 
@@ -278,7 +274,8 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """How near states ``(N,)`` are to the most probable one, 0 to 1."""
         apart = mean_joint_distance(points_3d, points_3d[log_probabilities.argmax()])
-        return np.asarray(np.exp(-((apart / _NEARBY_M) ** 2) / 2))
+        # Poses at this distance from the most probable one weigh 60 % of it.
+        return np.asarray(np.exp(-((apart / 0.25) ** 2) / 2))
 
     def _kept_on_visible_side(
         self, points_3d: NDArray[np.float64], heading: Heading

@@ -94,6 +94,9 @@ class Track:
         """Whether the last reading was trusted."""
         self.seen_keypoints = person.seen_keypoints
         """MoveNet's keypoints of the last look, relative to the landmarks."""
+        self.drawn = person.drawn
+        """The silhouette as drawn last."""
+        self.drawn_at = timestamp
         self.beside = person.beside
         """Whether others hid the person, so that the next window hardly shows them."""
         self.colours = person.colours
@@ -139,7 +142,9 @@ class Track:
             self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
         self.next_window, self.beside = person.next_window, person.beside
         self.trusted = person.trust is not None and person.trust.is_right
-        self.seen_keypoints = person.seen_keypoints
+        self.seen_keypoints, self.drawn = person.seen_keypoints, person.drawn
+        if not person.moved_along:
+            self.drawn_at = timestamp
         self._patch, self.lies_at, self.hidden = person.patch, None, False
         if self.colours is None:
             self.colours = person.colours

@@ -53,11 +53,6 @@ class PoseReading:
         """Size of the body, the radius of its circle, in pixels of the frame."""
         return self.next_window.body_px
 
-    @property
-    def drift(self) -> float:
-        """Distance from this window to the next, as a share of its side; large if it is wrong."""
-        return self.window.drift(self.next_window)
-
 
 MAP_SHAPES = ((8, 8, 144), (2, 2, 288))
 """Rows, columns and channels of the feature maps: middle and last."""

@@ -19,8 +19,6 @@ from app.vision.truncation import with_truncation
 
 _MAX_PX = 1920 * 1080  # Larger frames are reduced, since a pixel takes 60 bytes.
 _MAX_GAIN = 2.0  # Largest change of exposure, either way: one f-stop.
-# Grey levels that compression and vibration leave; chosen on people pasted into a street.
-_MIN_NOISE = 4.0
 
 
 def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.bool_]:
@@ -40,7 +38,8 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
     )
     scene = np.dstack([_in_exposure(scene[..., k], now[..., k]) for k in range(3)])
     # A normal distribution's standard deviation is 1.4826 times its median deviation.
-    noise = max(_MIN_NOISE, 1.4826 * float(np.median(cv2.absdiff(now, scene)[::2, ::2])))
+    # Grey levels that compression and vibration leave; chosen on people pasted into a street.
+    noise = max(4.0, 1.4826 * float(np.median(cv2.absdiff(now, scene)[::2, ::2])))
     model = cv2.createBackgroundSubtractorMOG2(detectShadows=True)
     model.setNMixtures(1)
     for set_variance in (model.setVarInit, model.setVarMin, model.setVarMax):
@@ -66,8 +65,6 @@ def _in_exposure(scene: NDArray[np.uint8], now: NDArray[np.uint8]) -> NDArray[np
 
 
 _WIDTHS = (0.15, 1.2)  # Of an upright person, relative to the height.
-_SOLID = 0.4  # Share of the box that a body fills.
-_HEIGHT_PER_GAP = 12.0  # Height of a person relative to gaps closed within a body.
 
 
 def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[Detection]:
@@ -77,14 +74,16 @@ def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[De
     touching in the frame are found as one.
     """
     # Closing joins the parts of a body, for example if its belt has the pavement's colour.
-    reach = max(1, round(min_person_px / _HEIGHT_PER_GAP))
+    # Height of a person relative to gaps closed within a body.
+    reach = max(1, round(min_person_px / 12.0))
     gap: NDArray[np.uint8] = np.ones((2 * reach + 1, 3), np.uint8)
     joined = cv2.morphologyEx(changed.view(np.uint8), cv2.MORPH_CLOSE, gap)
     found = []
     for left, top, width, height, area in cv2.connectedComponentsWithStats(joined)[2][1:].tolist():
         box = Box(left - 0.5, top - 0.5, width, height)
         if height >= min_person_px and _WIDTHS[0] <= width / height <= _WIDTHS[1]:
-            found.append(Detection(box, 0.9 * min(1.0, area / (_SOLID * box.area))))
+            # Share of the box that a body fills.
+            found.append(Detection(box, 0.9 * min(1.0, area / (0.4 * box.area))))
     return sorted(found, key=lambda one: -one.score)
 
 

@@ -43,9 +43,6 @@ class Body3D:
         return self.points @ to_line_of_sight(camera.rays(hips)).T
 
 
-_MIN_WEIGHT = 0.05  # Least weight of a landmark when a body is placed.
-
-
 def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body3D:
     """Put landmarks onto their lines of sight at corrected depths.
 
@@ -55,7 +52,8 @@ def body_of(reading: PoseReading, camera: PinholeCamera, depths: Depths) -> Body
     metres = reading.network_pass.world[:LANDMARKS].astype(np.float64)
     metres = metres - metres[HIPS].mean(axis=0)
     metres[:, 2] = depths.metres
-    weights = np.maximum(reading.landmarks.visibility, _MIN_WEIGHT)
+    # Least weight of a landmark when a body is placed.
+    weights = np.maximum(reading.landmarks.visibility, 0.05)
     rays = camera.rays(reading.landmarks.positions)
     placed = place_on_sight_lines(metres, rays, axes, weights)
     hips = placed.points[HIPS].mean(axis=0)

@@ -45,8 +45,6 @@ DOUBTFUL = (0.2, 0.8)
 # the turn of the trunk from which a window turned upright is compared as well: the network hardly
 # recognises lying people.
 _OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
-# Probability from which a detection close to others may be a person partly hidden by them.
-_MIN_HIDDEN_PROBABILITY = 0.15
 
 
 _CLASSES = (
@@ -136,11 +134,11 @@ class NetworkDetector:
         ]
         certain = [one for one in judged if one.score >= MIN_DETECTION_SCORE]
         doubtful = [one for one in judged if one.score < MIN_DETECTION_SCORE]
+        # Probability from which a detection close to others may be a person partly hidden by them.
         close = [
             one
             for one in (*others, *doubtful)
-            if one.score >= _MIN_HIDDEN_PROBABILITY
-            and any(one.box.intersection(other.box) > 0 for other in certain)
+            if one.score >= 0.15 and any(one.box.intersection(other.box) > 0 for other in certain)
         ]
         return sorted(certain, key=_by_score), sorted(close, key=_by_score)
 

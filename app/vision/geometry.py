@@ -212,10 +212,6 @@ def transform_points(
     return points @ matrix[:, :2].T + matrix[:, 2]
 
 
-# A frame is halved until a pixel of a window covers fewer of its pixels than this each way.
-_MAX_COVERED_PX = 2.25
-
-
 def sample_window(frame: Frame, window: PersonWindow, pixels: int) -> NDArray[np.uint8]:
     """Sample a window of a frame as ``(pixels, pixels, 3)``; beyond the frame it is black."""
     frame, scale = seen_at(frame, pixels / window.side)
@@ -232,7 +228,8 @@ def sample_window(frame: Frame, window: PersonWindow, pixels: int) -> NDArray[np
     matrix = window.to_frame(pixels)
     matrix[:, 2] -= low
     covered = window.side / pixels
-    while covered >= _MAX_COVERED_PX:
+    # A frame is halved until a pixel of a window covers fewer of its pixels than this each way.
+    while covered >= 2.25:
         # Means of two by two pixels take a fifth of the time of others.
         sides = np.array(part.shape[1::-1])
         factors = np.minimum(2, sides)

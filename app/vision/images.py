@@ -130,11 +130,11 @@ def _photograph(data: bytes, header: Image.Image) -> Photograph:
 
 
 _BYTES_PER_PIXEL = 8  # At most, in a TIFF.
-_MAX_MISSING_SHARE = 0.5  # An image with a larger missing share is refused.
 
 
 def _check_missing(share: float, header: Image.Image) -> None:
-    if share > _MAX_MISSING_SHARE:
+    # An image with a larger missing share is refused.
+    if share > 0.5:
         raise ImageError(f"the {header.format} image is broken: most of it is missing")
 
 
@@ -206,7 +206,6 @@ def _reduced(data: bytes, shape: tuple[int, ...], flags: int) -> NDArray[np.uint
     return None if picture is None else np.asarray(picture, np.uint8)
 
 
-_LARGE_PX = 2_500_000  # More than a frame of 1080p.
 _LARGE_ONES = Lock()
 _CHECKED_EVERY_S = 0.05
 
@@ -217,7 +216,8 @@ def turn_of(pixels: int, checkpoint: Callable[[], None]) -> Iterator[None]:
 
     Small images do not wait. While a large one waits, ``checkpoint`` is called; it may raise.
     """
-    if pixels <= _LARGE_PX:
+    # More than a frame of 1080p.
+    if pixels <= 2_500_000:
         yield
         return
     while not _LARGE_ONES.acquire(timeout=_CHECKED_EVERY_S):

@@ -238,14 +238,12 @@ class PostureModel:
         return FramePosture(sharpened(scores, np.array([right]), self.sharpness)[0])
 
 
-_MIN_RIGHT = 0.01  # The probability that landmarks are right is kept this far from 0 and 1.
-
-
 def sharpened(
     scores: NDArray[np.floating], right: NDArray[np.float64], sharpness: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Probabilities ``(N, O)`` of scores, see :class:`PostureModel`."""
-    factors = np.exp(sharpness[0] + sharpness[1] * logit(right, _MIN_RIGHT))
+    # The probability that landmarks are right is kept this far from 0 and 1.
+    factors = np.exp(sharpness[0] + sharpness[1] * logit(right, 0.01))
     return softmax(scores * factors[:, None])
 
 

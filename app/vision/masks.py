@@ -145,7 +145,6 @@ def _one_channel(pixels: NDArray[Any], max_difference: int) -> Labels:
 # Share of a label's pixels whose neighbours all have the same label, if it is three pixels wide;
 # narrower ones may be edges. At least this share of an edge lies beside a higher label.
 _THIRD = 1 / 3
-_RIM_SHARE = 0.9  # Of the pixels at the background, if one label keeps the others from it.
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,8 @@ class _Shapes:
     def rim(self) -> int | None:
         """Row of the label that surrounds all others and is thinner, if there is one."""
         widest = int(self.exposed.argmax())
-        surrounds = self.exposed[widest] >= _RIM_SHARE * self.exposed.sum()
+        # Of the pixels at the background, if one label keeps the others from it.
+        surrounds = self.exposed[widest] >= 0.9 * self.exposed.sum()
         return widest if surrounds and self.cores[widest] < self.cores.max() else None
 
 
@@ -275,7 +275,6 @@ def _check_scatter(image: LabelImage) -> None:
 # change. Parts of a label below this size and below this share of its largest part are specks.
 _MIN_FIGURE_PX = 12
 _SPECK_SHARE = 0.05
-_MAX_BORDER_SHARE = 0.75  # Largest share of the frame's border that people cover.
 _MAX_NAMED = 5
 
 
@@ -296,7 +295,8 @@ def _of_figures(image: LabelImage) -> LabelImage:
             "got smaller ones"
         )
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
-    if np.count_nonzero(border) >= _MAX_BORDER_SHARE * border.size:
+    # Largest share of the frame's border that people cover.
+    if np.count_nonzero(border) >= 0.75 * border.size:
         found = ", ".join(map(str, np.unique(border[border > 0])[:_MAX_NAMED].tolist()))
         raise ImageError(
             f"expected a mask whose background is 0, got labels {found} along the frame's border: "
@@ -317,9 +317,6 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 MIN_FILL = 0.12
 """Share of a box that a silhouette fills, below which nobody was cut out."""
 
-# Area of a part of a body, relative to the largest part.
-_MIN_PART = 0.1
-
 
 def cleaned(mask: NDArray[np.bool_], *, max_hole: float) -> NDArray[np.bool_]:
     """A body's mask ``(H, W)`` without small parts, and without holes of up to a share of it.
@@ -336,7 +333,8 @@ def _keep_components(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     _, labels, stats, _ = cv2.connectedComponentsWithStats(np.asarray(mask).view(np.uint8))
     areas = stats[:, cv2.CC_STAT_AREA].copy()
     areas[0] = 0
-    keep = areas >= _MIN_PART * areas.max()
+    # Area of a part of a body, relative to the largest part.
+    keep = areas >= 0.1 * areas.max()
     keep[0] = False
     keep[areas.argmax()] = True
     return keep[labels]

@@ -10,7 +10,7 @@ References
 .. [2] X. Zhou, D. Wang, P. Krähenbühl, "Objects as Points", 2019.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -102,18 +102,6 @@ class KeypointReader:
 MIN_MOVENET_SCORE = 0.02
 """Least score of MoveNet that counts."""
 
-# Longer side of a box, in the overview, from which people are taken from the overview. Smaller
-# people are taken from the tiles, which separate two people side by side.
-_LARGE_PERSON_PX = 96.0
-
-# Longer side of a small picture of the frame, a tenth of the overview's area, that is searched for
-# people who fill the frame: the network recognises them at this size, and hardly in the overview.
-_GLANCE_PX = 192.0
-# Share of the frame's longer side from which a person fills it.
-_FILLING_SHARE = 0.5
-# Score of a person from which the frame is not searched at that size.
-_SURE_SCORE = 0.3
-
 
 @dataclass(frozen=True)
 class MoveNetDetector:
@@ -134,12 +122,25 @@ class MoveNetDetector:
         found: list[tuple[float, Detection]] = []
         for number, tile in enumerate(picture.tiles):
             for one in _seen_in(self.network, picture, tile):
-                is_large = _longer_side(one, picture) >= _LARGE_PERSON_PX
+                # Longer side of a box, in the overview, from which people are taken from the
+                # overview. Smaller people are taken from the tiles, which separate two people side
+                # by side.
+                is_large = _longer_side(one, picture) >= 96.0
                 suits = len(picture.tiles) == 1 or is_large == (number == 0)
                 found.append((one.score + suits, one))
-        if all(one.score < _SURE_SCORE for _, one in found):
-            nearer = _seen_in(self.small, picture, _glance(picture))
-            found += [(one.score + 1, one) for one in _filling(nearer, picture)]
+        # Score of a person from which the frame is not searched at that size.
+        if all(one.score < 0.3 for _, one in found):
+            whole = picture.tiles[0]
+            # Longer side of a small picture of the frame, a tenth of the overview's area, that is
+            # searched for people who fill the frame: the network recognises them at this size, and
+            # hardly in the overview.
+            glance = Tile(whole.rect, whole.factor * min(1.0, 192.0 / max(whole.size)))
+            # Share of the frame's longer side from which a person fills it.
+            found += [
+                (one.score + 1, one)
+                for one in _seen_in(self.small, picture, glance)
+                if _longer_side(one, picture) >= 0.5 * max(whole.size)
+            ]
         return [one for _, one in sorted(found, key=lambda pair: -pair[0])]
 
 
@@ -156,16 +157,6 @@ def _seen_in(network: MoveNet, picture: Picture, tile: Tile) -> list[Detection]:
 
 def _longer_side(one: Detection, picture: Picture) -> float:
     return max(one.box.width, one.box.height) * picture.tiles[0].factor
-
-
-def _filling(people: Iterable[Detection], picture: Picture) -> list[Detection]:
-    large = _FILLING_SHARE * max(picture.tiles[0].size)
-    return [one for one in people if _longer_side(one, picture) >= large]
-
-
-def _glance(picture: Picture) -> Tile:
-    whole = picture.tiles[0]
-    return Tile(whole.rect, whole.factor * min(1.0, _GLANCE_PX / max(whole.size)))
 
 
 KEYPOINT_WINDOW_PX = (256, 160)
@@ -196,7 +187,6 @@ CELL_PX = 4
 MIN_KEYPOINT_SCORE = 0.127
 """Score below which keypoints are left out of a person's score, as in Google's graph."""
 
-_MAX_PEOPLE = 60  # Most people found in one pass of the network.
 _MIN_CENTRE_SCORE = 0.03
 
 
@@ -211,15 +201,10 @@ def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
     is_peak = (centres >= highest - 1e-6) & (centres >= _MIN_CENTRE_SCORE)
     rows, columns = np.nonzero(is_peak)
-    order = np.argsort(-centres[rows, columns], kind="stable")[:_MAX_PEOPLE]
+    # Most people found in one pass of the network.
+    order = np.argsort(-centres[rows, columns], kind="stable")[:60]
     found = (_decode_person(heads, int(rows[i]), int(columns[i])) for i in order)
     return [person for person in found if person is not None]
-
-
-_MIN_BOX_CELLS = 0.25  # Sides of a box in heatmap cells; smaller ones are empty.
-# Variance of the Gaussian that weights a heatmap about the first guess, relative to the heatmap's
-# shorter side; from Google's graph.
-_GUESS_SPREAD = 0.3
 
 
 def _decode_person(
@@ -231,13 +216,16 @@ def _decode_person(
     middle = np.array([row, column]) + offsets[row, column]
     half = np.maximum(sizes[row, column], 0) / 2
     low, high = np.clip(middle - half, 0, cells), np.clip(middle + half, 0, cells)
-    if (high - low < _MIN_BOX_CELLS).any():
+    # Sides of a box in heatmap cells; smaller ones are empty.
+    if (high - low < 0.25).any():
         return None
     first = np.minimum(np.ceil(low).astype(int), cells - 1)
     last = np.maximum(np.ceil(high).astype(int), first + 1)
     guess = guesses[row, column].reshape(_KEYPOINTS, 2) + np.array([row, column])
     inside = heatmaps[first[0] : last[0], first[1] : last[1]]
-    at, scores = _heatmap_peaks(inside, first, guess, _GUESS_SPREAD * cells.min())
+    # Variance of the Gaussian that weights a heatmap about the first guess, relative to the
+    # heatmap's shorter side; from Google's graph.
+    at, scores = _heatmap_peaks(inside, first, guess, 0.3 * cells.min())
     which = np.arange(_KEYPOINTS)
     refined = at + refinements[at[:, 0], at[:, 1]].reshape(_KEYPOINTS, _KEYPOINTS, 2)[which, which]
     visible = scores > MIN_KEYPOINT_SCORE

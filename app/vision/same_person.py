@@ -25,12 +25,6 @@ from app.vision.people import Detection, Silhouette
 
 # Overlap from which two boxes of a frame show one person; two people side by side reach 0.3.
 _SAME_BOX_IOU = 0.4
-# Overlap from which a box shows the person expected in another box.
-_EXPECTED_IOU = 0.3
-# Size of a body's window relative to the one about a box, if both show one person.
-_WINDOW_SIZES = (0.4, 2.5)
-# Share of a box within reach of an expected person, who may have fallen.
-_MIN_SHARE_IN_REACH = 0.5
 # Points of one person are in the same place within this distance, in sizes of the body, for most of
 # their weight. Keypoints of lower scores are not compared.
 _SAME_PLACE, _MIN_COMPARED_SCORE = 0.12, 0.1
@@ -97,12 +91,14 @@ def shows(one: Detection, person: Detection) -> bool:
         return one.box.iou(person.box) >= _SAME_BOX_IOU
     window, box = one.windows[0], person.box
     inside = box.x <= window.x <= box.right and box.y <= window.y <= box.bottom
-    low, high = _WINDOW_SIZES
+    # Size of a body's window relative to the one about a box, if both show one person.
+    low, high = (0.4, 2.5)
     return inside and low < window.side / PersonWindow.about_box(box).side < high
 
 
 def is_expected(box: Box, expected: Box) -> bool:
-    return box.iou(expected) >= _EXPECTED_IOU
+    # Overlap from which a box shows the person expected in another box.
+    return box.iou(expected) >= 0.3
 
 
 def may_be_reached(box: Box, expected: Box) -> bool:
@@ -110,13 +106,11 @@ def may_be_reached(box: Box, expected: Box) -> bool:
     x, y, width, height = expected.x, expected.y, expected.width, expected.height
     margin = max(width, height) / 2
     reach = Box(x - margin, y, width + 2 * margin, height + margin / 2)
-    return box.intersection(reach) >= _MIN_SHARE_IN_REACH * box.area
+    # Share of a box within reach of an expected person, who may have fallen.
+    return box.intersection(reach) >= 0.5 * box.area
 
 
 _HUES, _SATURATIONS, _GREYS = 8, 4, 8
-# If the longer side is less than twice this, every row and column is read, otherwise every second
-# one, and so on; the colours stay the same.
-_COLOURS_PX = 200
 
 
 def colours_of(frame: Frame, silhouette: Silhouette) -> NDArray[np.float32]:
@@ -126,7 +120,9 @@ def colours_of(frame: Frame, silhouette: Silhouette) -> NDArray[np.float32]:
     """
     pixels, scale = seen_at(frame, HALF)
     per_pixel = round(1 / scale)
-    stride = max(1, max(silhouette.crop.shape) // (per_pixel * _COLOURS_PX))
+    # If the longer side is less than twice this, every row and column is read, otherwise every
+    # second one, and so on; the colours stay the same.
+    stride = max(1, max(silhouette.crop.shape) // (per_pixel * 200))
     mask = silhouette.crop[:: stride * per_pixel, :: stride * per_pixel].astype(np.uint8)
     rows, columns = (
         slice(first // per_pixel, first // per_pixel + stride * count, stride)

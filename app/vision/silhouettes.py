@@ -1,6 +1,9 @@
 """Silhouettes of the people in a frame, from the landmark network's masks or a caller's mask."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -11,6 +14,40 @@ from app.vision.geometry import Box
 from app.vision.masks import MIN_FILL, LabelImage, cleaned
 from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
 from app.vision.truncation import extended_to_border, with_truncation
+
+# Mean distance, in sizes of the body, up to which landmarks that moved against each other since a
+# silhouette was drawn leave it as it is.
+_SAME_SHAPE = 0.1
+
+
+@dataclass(frozen=True)
+class DrawnSilhouette:
+    """A silhouette, and the landmarks ``(33, 2)`` of the reading that it was drawn from, pixels."""
+
+    silhouette: Silhouette
+    positions: NDArray[np.float64]
+
+    def on_landmarks(self, reading: PoseReading, frame_shape: tuple[int, ...]) -> Silhouette | None:
+        """The silhouette, moved and stretched along with the landmarks of a later reading.
+
+        None if it has to be drawn again: the body has another shape, or is cut.
+        """
+        old, (height, width) = self.silhouette, frame_shape[:2]
+        before, now = self.positions, reading.landmarks.positions
+        apart = (now - now.mean(axis=0)) - (before - before.mean(axis=0))
+        changed = np.linalg.norm(apart, axis=1).mean() > _SAME_SHAPE * reading.body_px
+        if changed or old.truncated:
+            return None
+        low, high = now.min(axis=0) - before.min(axis=0), now.max(axis=0) - before.max(axis=0)
+        corner = np.array([old.left, old.top])
+        first = np.rint(corner + low).astype(int)
+        last = np.rint(corner + np.array(old.crop.shape[::-1]) + high).astype(int)
+        size = last - first
+        if (first < 0).any() or (last > [width, height]).any() or (size < 1).any():
+            return None
+        crop = cv2.resize(old.crop.view(np.uint8), size.tolist(), interpolation=cv2.INTER_NEAREST)
+        left, top = first.tolist()
+        return silhouette_from_mask(crop > 0, left=left, top=top, segmenter=old.segmenter)
 
 
 def silhouettes_of(

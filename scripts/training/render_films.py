@@ -32,6 +32,7 @@ from scripts.training.identity_pairs import Pairs, recorded_pairs
 from scripts.training.motions import Motions
 from scripts.training.render.film import FIRST_FRAME, RATE, Film, film_of
 from scripts.training.render.people import cast
+from scripts.training.render_people import contact_sheet
 
 PEOPLE, HELD_OUT_PEOPLE = 10, 5
 _HIPS = landmark_rows("hip")
@@ -116,21 +117,10 @@ def _answer(person: TrackedPerson) -> NDArray[np.float64]:
     )
     trust = (np.nan, np.nan) if person.trust is None else (person.trust.person, person.trust.right)
     presence = np.nan if person.presence is None else person.presence
-    return np.array(
-        [
-            person.track_id,
-            box.x,
-            box.y,
-            box.width,
-            box.height,
-            hips,
-            *posture,
-            presence,
-            *trust,
-            person.detection_score or 0.0,
-            person.age_frames,
-        ]
-    )
+    return np.array([
+        person.track_id, box.x, box.y, box.width, box.height, hips, *posture, presence, *trust,
+        person.detection_score or 0.0, person.age_frames,
+    ])  # fmt: skip
 
 
 def films(options: argparse.Namespace) -> Iterator[tuple[Path, Film]]:
@@ -142,25 +132,6 @@ def films(options: argparse.Namespace) -> Iterator[tuple[Path, Film]]:
         file = options.out / f"film-{number:04d}.npz"
         if not file.exists():
             yield file, film_of(motions, people, options.seed, number)
-
-
-def contact_sheet(shown: Sequence[Film], side: int = 150) -> NDArray[np.uint8]:
-    """Six frames of each film, four films a row."""
-    strips = []
-    for film in shown:
-        cells = []
-        for number in np.linspace(0, len(film) - 1, 6).astype(int):
-            cell, image = np.zeros((side, side, 3), np.uint8), film.picture(int(number))
-            scale = side / max(image.shape[:2])
-            small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)[
-                :side, :side
-            ]
-            cell[: small.shape[0], : small.shape[1]] = small
-            cells.append(cell)
-        cv2.putText(cells[0], film.kind, (3, 12), 0, 0.4, (0, 255, 255), 1)
-        strips.append(np.hstack(cells))
-    half = (len(strips) + 1) // 2
-    return np.hstack([np.vstack(strips[:half]), np.vstack(strips[half:])])
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -181,7 +152,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cv2.setNumThreads(1)
     options.out.mkdir(parents=True, exist_ok=True)
     if options.sheet is not None:
-        cv2.imwrite(str(options.sheet), contact_sheet([film for _, film in films(options)]))
+        shown = [
+            (film.kind, film.picture(int(number)))
+            for _, film in films(options)
+            for number in np.linspace(0, len(film) - 1, 6)
+        ]
+        cv2.imwrite(str(options.sheet), contact_sheet(shown, 150, 12))
         return
     estimator = load_estimator(Settings())
     for file, film in films(options):

@@ -99,20 +99,20 @@ def photograph_of(studio: Studio, seed: int, number: int) -> tuple[Photograph, n
     return studio.take(generator, empty=empty), generator
 
 
-def contact_sheet(studio: Studio, seed: int, tiles: int = 40, side: int = 240) -> NDArray[np.uint8]:
-    """Pictures to look at, each with its class."""
-    cells = []
-    for number in range(tiles):
-        photograph, _ = photograph_of(studio, seed, number)
-        image = photograph.image
+def contact_sheet(
+    pictures: Sequence[tuple[str, NDArray[np.uint8]]], side: int, columns: int
+) -> NDArray[np.uint8]:
+    """Pictures to look at, each with a word."""
+    sheet = np.zeros((-(-len(pictures) // columns) * side, columns * side, 3), np.uint8)
+    for number, (name, image) in enumerate(pictures):
         scale = side / max(image.shape[:2])
-        small = cv2.resize(image, None, fx=scale, fy=scale)
-        cell = np.zeros((side, side, 3), np.uint8)
+        small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        row, column = divmod(number, columns)
+        cell = sheet[row * side : (row + 1) * side, column * side : (column + 1) * side]
         cell[: small.shape[0], : small.shape[1]] = small[:side, :side]
-        name = "nobody" if photograph.posture == EMPTY else FRAME_POSTURES[photograph.posture]
-        cv2.putText(cell, name, (3, 12), 0, 0.4, (0, 255, 255), 1)
-        cells.append(cell)
-    return np.vstack([np.hstack(cells[row : row + 8]) for row in range(0, tiles, 8)])
+        place = (column * side + 3, row * side + 12)
+        cv2.putText(sheet, name, place, 0, 0.4, (0, 255, 255), 1)
+    return sheet
 
 
 LOOKS, CHAIN = 4, 3
@@ -196,7 +196,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         parser.error("expected --out or --sheet")
     studio = open_studio(options)
     if options.sheet is not None:
-        cv2.imwrite(str(options.sheet), contact_sheet(studio, options.seed))
+        shown = [photograph_of(studio, options.seed, number)[0] for number in range(40)]
+        named = [(("nobody", *FRAME_POSTURES)[one.posture - EMPTY], one.image) for one in shown]
+        cv2.imwrite(str(options.sheet), contact_sheet(named, 240, 8))
         return
     network = LandmarkNetwork(file_of("pose_landmarks"))
     write_rows(options, studio, partial(read_windows, network))

@@ -10,7 +10,7 @@ import pytest
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from app.api.tracking_schemas import CameraList, CameraState
+from app.api.tracking_schemas import CameraList, CameraState, EventReplay
 from app.estimation.finder import PeopleFinder
 from tests.app.vision.encoded import encode
 from tests.conftest import Photo, Serving
@@ -21,6 +21,10 @@ from tests.support.service import check_problem, eventually, sample, send
 def sessions_of(client: TestClient, photo: Photo, *cameras: str, **options: Any) -> list[str]:
     """States of the sessions that the frames of cameras find, one after the other."""
     return [send(client, photo, camera, **options).headers["x-session"] for camera in cameras]
+
+
+ZONE = {"name": "bed", "kind": "rest", "polygon": [[0, 0], [9, 0], [9, 9]]}
+AS_JSON = {"Accept": "application/json"}
 
 
 class TestTrackFrame:
@@ -116,6 +120,23 @@ def test_cameras_are_listed_and_forgotten(client: TestClient, photo: Photo) -> N
     assert (response.status_code, response.content) == (204, b"")
     assert "content-type" not in response.headers
     assert sessions_of(client, photo, "yard") == ["new"]
+
+
+def test_an_event_is_replayed_without_a_photograph(client: TestClient, photo: Photo) -> None:
+    assert sessions_of(client, photo, "yard") == ["new"]
+    (event,) = client.get("/cameras/yard/events").json()["events"]
+    path = f"/cameras/yard/events/{event['id']}/replay"
+    picture = client.get(path)
+    assert picture.headers["content-type"] == "image/webp"
+    assert picture.content[:4] + picture.content[8:12] == b"RIFFWEBP"
+    client.put("/cameras/yard", json={"zones": [ZONE]})
+    replay = EventReplay.model_validate_json(client.get(path, headers=AS_JSON).content)
+    assert (replay.event.id, replay.complete, len(replay.frames)) == (event["id"], False, 1)
+    assert (replay.image.width, replay.zones[0].name) == (320, "bed")
+    assert len(replay.frames[0].joints) == 17 and replay.frames[0].outline
+    for name in ("gate", "yard"):
+        missing = client.get(f"/cameras/{name}/events/none/replay")
+        assert check_problem(missing, 404).startswith("expected ")
 
 
 class TestKeys:

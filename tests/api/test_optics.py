@@ -22,30 +22,6 @@ def joints(answer: Any, name: str = "joints_3d") -> np.ndarray:
     return np.array([list(joint.values()) for joint in best[name]])
 
 
-def squeezed(photo: Photo) -> dict[str, bytes]:
-    """The mask in half the width."""
-    height, width = photo.mask.shape
-    size = width // 2, height
-    mask = cv2.resize(photo.mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    return {"mask": png(mask)}
-
-
-def test_a_squeezed_picture_answers_like_the_unsqueezed_one(
-    client: TestClient, photo: Photo
-) -> None:
-    whole = ask(client, {"mask": photo.mask_png})
-    half = ask(client, squeezed(photo), pixel_aspect=2, silhouettes="rle")
-    assert half["image"]["width"] == photo.mask.shape[1] // 2
-    places = joints(whole, "joints_2d")
-    places[:, 0] = (places[:, 0] + 0.5) / 2 - 0.5
-    assert np.abs(joints(half, "joints_2d") - places).mean() < 2
-    person, other = half["persons"][0], whole["persons"][0]
-    assert person["box"]["width"] == pytest.approx(other["box"]["width"] / 2, abs=2)
-    assert person["box"]["height"] == pytest.approx(other["box"]["height"], abs=1)
-    assert person["silhouette"]["rle"]["size"] == [photo.mask.shape[0], photo.mask.shape[1] // 2]
-    assert person["silhouette"]["area_px"] == pytest.approx(photo.mask.sum() / 2, rel=0.1)
-
-
 @pytest.mark.parametrize("quarters", [1, 2])
 def test_a_turned_camera_answers_like_an_upright_one(
     client: TestClient, photo: Photo, quarters: int

@@ -76,7 +76,11 @@ class ColourReader:
     ) -> JudgedReading | None:
         self.looks += seen is None
         reading = self._in_window(frame, window)
-        return reading if reading.presence > 0.5 and reading.drift < 0.35 else None
+        return (
+            reading
+            if reading.presence > 0.5 and reading.window.drift(reading.next_window) < 0.35
+            else None
+        )
 
     def with_mask(self, reading: JudgedReading) -> JudgedReading:
         return reading

@@ -65,25 +65,6 @@ def compared(
     return landmarks.compare(np.stack(skeletons), np.stack([pose(seed)] * len(skeletons)))
 
 
-@given(seed=seeds, away=st.floats(0, 80))
-def test_skeleton_on_its_landmarks_is_likeliest(seed: int, away: float) -> None:
-    points = skeleton(seed)
-    moved = points + away * np.random.default_rng(seed + 1).normal(size=points.shape)
-    agreement = compared(shown(seed), seed, points, moved)
-    assert agreement.log_likelihood[0] >= agreement.log_likelihood[1]
-    assert (agreement.log_likelihood <= 0).all()
-    assert agreement.side_log_odds[0] > 0
-    assert agreement.weights(0.5).max() == 1
-
-
-@given(seed=seeds, away=st.floats(0.05, 0.6))
-def test_pose_on_its_landmarks_is_likeliest_in_depth(seed: int, away: float) -> None:
-    here = pose(seed)
-    moved = here + away * np.random.default_rng(seed + 1).normal(size=here.shape)
-    agreement = shown(seed).compare(np.stack([skeleton(seed)] * 2), np.stack([here, moved]))
-    assert agreement.log_likelihood[0] > agreement.log_likelihood[1]
-
-
 @given(seed=seeds, x=st.floats(-6, 6), y=st.floats(-6, 6))
 def test_residuals_point_to_the_landmarks_without_overshooting(
     seed: int, x: float, y: float

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 
 from descriptor.silhouette import rotate_silhouette
 from index.confidence import RIGHT_BELOW_PX
-from index.landmark_matching import match_landmarks
+from index.landmark_matching import match_landmarks, moved_along
 from index.matching import DEFAULT_HYPOTHESES, MIN_NEW_POSE_M, Match, PoseHypothesis
 from index.modes import DISTINCT_M
 from index.silhouette_matching import match_silhouette
 from index.skeleton import (
     JOINTS,
+    POINT_NAMES,
     camera_rotation,
     exchange_sides,
     mean_joint_distance,
@@ -203,6 +204,27 @@ def test_alternatives_in_depth_have_the_joints_of_the_first_in_the_picture(
             entry, _ = points_of(toy_index, one.entry_id, mirrored=one.mirrored)
             own = rotate_clockwise(entry, one.rotation_deg)
             assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
+
+
+def test_hypotheses_move_along_with_landmarks(toy_index: PoseIndex, new_views: list[View]) -> None:
+    """An arm is raised after the match; alternatives in depth stay those of the first."""
+    wrist = POINT_NAMES.index("right_wrist")
+    for silhouette, in_space, points in new_views[::8]:
+        found = match_landmarks(toy_index, silhouette, 7, landmarks_of(points, in_space))
+        points = points + np.array([4.0, -2.0])
+        points[wrist, 1] -= 6
+        moved = moved_along(found, landmarks_of(points, in_space), 0.0).hypotheses
+        for before, after in zip(found.hypotheses, moved, strict=True):
+            assert after.entry_id == before.entry_id and after.in_depth == before.in_depth
+            if before.in_depth:
+                assert_allclose(
+                    after.points_3d - moved[0].points_3d,
+                    before.points_3d - found.hypotheses[0].points_3d,
+                    atol=1e-9,
+                )
+                assert np.array_equal(after.points_normalised, moved[0].points_normalised)
+        stayed = joint_error(found.hypotheses[0].points_normalised, points)
+        assert joint_error(moved[0].points_normalised, points) < 0.6 * stayed
 
 
 def test_the_rank_contradicts_neither_confidence_nor_weight(

@@ -24,28 +24,10 @@ def network() -> JointNetwork:
     return random_network(0)
 
 
-def certain(columns: int, rows: int, depths: int) -> Distributions:
-    """Every joint in the same bin, almost surely."""
-    logits = np.zeros((JOINTS, JOINT_BINS))
-    start = 0
-    for axis, at in zip(AXES, (columns, rows, depths), strict=True):
-        logits[:, start + at] = 12
-        start += axis.bins
-    return Distributions(log_softmax(logits))
-
-
 def joints(columns: float, rows: float, depths: float, count: int = 1) -> NDArray[np.float64]:
     """Every joint at the same place, counted in bins."""
     places = zip(AXES, (columns, rows, depths), strict=True)
     return np.tile([axis.first + axis.step * at for axis, at in places], (count, JOINTS, 1))
-
-
-def test_probabilities_of_each_axis_sum_to_one(network: JointNetwork, toy_index: PoseIndex) -> None:
-    seen = network.read(toy_index.silhouette(3)).joints.log_probabilities
-    assert seen.shape == (JOINTS, JOINT_BINS)
-    ends = np.cumsum([axis.bins for axis in AXES])[:-1]
-    for part in np.split(np.exp(seen.astype(np.float64)), ends, axis=1):
-        assert_allclose(part.sum(axis=1), 1, rtol=1e-5)
 
 
 def test_equals_plain_sums_bit_for_bit(network: JointNetwork, toy_index: PoseIndex) -> None:
@@ -103,14 +85,6 @@ class TestPosteriorMeans:
         share = 2**2 / (2**2 + 1.5**2)
         expected = prior + share * (joints(16, 36, 16) - prior)
         assert_allclose(means, expected, atol=2e-3)
-
-
-def test_predicted_positions_are_likeliest() -> None:
-    seen = certain(10, 40, 16)
-    (there,) = seen.log_likelihood(joints(10, 40, 16))
-    assert there == pytest.approx(seen.peak(), abs=1e-6)
-    for other in ((12, 40, 16), (10, 43, 16), (10, 40, 11)):
-        assert seen.log_likelihood(joints(*other))[0] < there - 1
 
 
 def test_expected_errors_equal_those_of_random_draws(

@@ -48,14 +48,6 @@ def test_the_less_likely_become_farther(ranking: NetworkRanking, candidates: Can
     assert fewer.centres.tolist() == ordered.centres[:3].tolist()
 
 
-def test_support_is_one_for_the_likeliest_candidate(
-    ranking: NetworkRanking, candidates: Candidates
-) -> None:
-    likelihoods, support = ranking.log_likelihood(candidates), ranking.support(candidates)
-    assert support.max() == support[likelihoods.argmax()] == 1
-    assert (np.argsort(support) == np.argsort(likelihoods)).all()
-
-
 def test_fit_makes_joints_likelier_and_keeps_bone_lengths(
     ranking: NetworkRanking, candidates: Candidates
 ) -> None:

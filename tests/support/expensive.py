@@ -5,7 +5,6 @@ import struct
 import zlib
 from collections.abc import Iterable
 
-import numpy as np
 from PIL import Image
 
 LARGE = 3528, 3536
@@ -150,47 +149,6 @@ def gif(pictures: int, shape: tuple[int, int] | None = None) -> bytes:
     begin = whole.index(b",", 13 + 3 * 2 ** ((whole[10] & 7) + 1) * (whole[10] >> 7))
     picture = b"," + struct.pack("<4xHH", columns, rows) + whole[begin + 9 : -1]
     return whole[:begin] + picture * pictures + b";"
-
-
-def webp_codes() -> bytes:
-    """A lossless WebP of 1024x1024, each 16 pixels of which have codes of their own."""
-    bits: list[int] = []
-
-    def put(value: int, count: int) -> None:
-        bits.extend(value >> place & 1 for place in range(count))
-
-    def put_single() -> None:  # A code for one symbol, 0, which takes no bits.
-        put(0b0001, 4)
-
-    def put_bytes() -> None:  # A code of 8 bits for each of 256 symbols.
-        put(0, 1)
-        put(12 - 4, 4)
-        put(0, 3 * 11)
-        put(1, 3)  # Only the length 8 occurs.
-        put(0b1, 1)
-        put(3, 3)
-        put(256 - 2, 8)
-
-    put(0x2F, 8)
-    put(1023, 14)
-    put(1023, 14)
-    put(0, 1 + 3)  # Opaque, version 0.
-    put(0, 1 + 1)  # Neither transforms nor a cache of colours.
-    put(1, 1)
-    put(0, 3)  # Blocks of four by four pixels.
-    put(0, 1)
-    put_bytes()  # Green and red are the number of a block's codes.
-    put_bytes()
-    for _ in range(3):
-        put_single()
-    for number in range(2**16):
-        for byte in (number & 0xFF, number >> 8):
-            bits.extend(byte >> place & 1 for place in reversed(range(8)))
-    for _ in range(5 * 2**16):
-        put_single()
-    packed = np.packbits(np.array(bits, np.uint8), bitorder="little").tobytes() + bytes(64)
-    packed += bytes(len(packed) % 2)
-    return _riff([b"VP8L" + struct.pack("<I", len(packed)) + packed])
 
 
 def _riff(chunks: Iterable[bytes]) -> bytes:

@@ -1,14 +1,9 @@
-"""Clients that three generators make of the document.
-
-In Python and TypeScript they call every route of a live server, in Go and Java those of frames.
-"""
+"""The client that openapi-python-client makes of the document calls every route of a server."""
 
 import importlib
 import io
 import json
 import os
-import re
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,17 +12,13 @@ from typing import Any
 import pytest
 
 from tests.conftest import ROOT, Photo, Server
-from tests.support.programs import output_of, run
+from tests.support.programs import run
 from tests.support.videos import write_video
 
 pytestmark = pytest.mark.slow
-SOURCES = Path(__file__).parent / "typescript"
 # Half a second apart, in Unix time, which 32 bits round to 128 s.
 TIMES = [1795880000.25 + 0.5 * frame for frame in range(4)]
 DOCUMENT = ROOT / "openapi.json"
-# The first is what openapi-generator says of every document of OpenAPI 3.1; the second also of one
-# reduced to a single route and two plain models, where no schema lacks a name.
-ABOUT_ITSELF = ("OpenAPI 3.1 support is still in beta", "Failed to get the schema name: null")
 PACKAGE = "silhouette_pose_client"
 WALL = [[0.0, 0.0], [320.0, 0.0], [320.0, 240.0], [0.0, 240.0]]
 
@@ -152,55 +143,3 @@ def test_openapi_python_client_calls_every_route(
     broken = load("models").FrameUpload(frame=image(b"?"))
     problem = load("api.pose.estimate_pose").sync(client=client, body=broken)
     assert (problem.status, problem.field) == (400, "frame")
-
-
-def generate(generator: str, folder: Path, *options: str) -> Path:
-    """Run openapi-generator, which may warn of itself alone."""
-    program = shutil.which("openapi-generator-cli", path=str(Path(sys.executable).parent))
-    if program is None or shutil.which("java") is None:
-        pytest.skip("needs Java and the package openapi-generator-cli (extra contract)")
-    result = run(program, "generate", "-i", DOCUMENT, "-g", generator, "-o", folder, *options)
-    said = result.stdout + result.stderr
-    assert result.returncode == 0, said
-    warnings = [line for line in said.splitlines() if re.search(r"\b(WARN|ERROR)\b", line)]
-    assert [w for w in warnings if not any(known in w for known in ABOUT_ITSELF)] == []
-    return folder
-
-
-@pytest.fixture(scope="module")
-def typed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A client whose types openapi-typescript made: it passes ``tsc --strict``."""
-    if shutil.which("npm") is None:
-        pytest.skip("needs npm")
-    copy = tmp_path_factory.mktemp("typescript") / "client"
-    shutil.copytree(SOURCES, copy, ignore=shutil.ignore_patterns("node_modules"))
-    installed = run("npm", "install", "--no-audit", "--no-fund", "--no-package-lock", cwd=copy)
-    if installed.returncode != 0:
-        pytest.skip(f"npm install failed: {installed.stderr.strip()[-200:]}")
-    output_of("node", "generate.mjs", DOCUMENT, "api.ts", cwd=copy)
-    output_of("npx", "--no-install", "tsc", cwd=copy)
-    return copy
-
-
-def test_typescript_calls_every_route(
-    typed: Path, server: Server, photo: Photo, calls: dict[str, tuple[Any, ...]]
-) -> None:
-    files = {
-        "frame": photo.frame_png,
-        "mask": photo.mask_png,
-        "video": calls["analyse_sequence"][2]["video"],
-    }
-    for name, data in files.items():
-        (typed / name).write_bytes(data)
-    said = json.loads(output_of("node", "client.js", server.url, *files, cwd=typed))
-    assert said["statuses"].keys() == {path for _, path in operations().values()}
-    assert all(set(statuses) <= {200, 204} for statuses in said["statuses"].values())
-    assert sum(map(len, said["statuses"].values())) == len(operations())
-    (entries,) = said["entries"]
-    assert len(entries) == 3
-    assert entries[0] == photo.entry
-    assert said["x"] > 0
-    assert said["zones"] == ["wall"]
-    assert said["times"] == TIMES
-    assert said["field"] == "frame"
-    assert said["picture"] > 1000

@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.replies import compressed, run_lengths
-from app.vision.people import silhouette_from_mask
 from tests.conftest import ROOT, WALKERS, Photo, png
 
 STATIC = ROOT / "app" / "static"
@@ -92,14 +89,6 @@ def test_after_an_error_the_old_answer_is_dimmed(
     assert page.locator("#note").is_hidden()
 
 
-def test_finding_nobody_is_no_error(page: Any, tmp_path: Path) -> None:
-    (tmp_path / "wall.png").write_bytes(png(np.full((240, 320, 3), 200, np.uint8)))
-    page.set_input_files("#file", str(tmp_path / "wall.png"))
-    page.get_by_text("Nobody was found").wait_for()
-    assert page.locator("#message").is_hidden()
-    assert page.locator("[role=alert]:visible").count() == 0
-
-
 def test_a_large_photograph_is_sent_small_and_shown_large(page: Any, tmp_path: Path) -> None:
     walkers = cv2.imread(str(WALKERS))
     height, width = walkers.shape[:2]
@@ -116,43 +105,6 @@ def test_a_large_photograph_is_sent_small_and_shown_large(page: Any, tmp_path: P
     shown = [int(number) for number in re.findall(r"\d+", size)[:2]]
     factor = 10 * height / 2560
     assert shown == pytest.approx([tallest["width"] * factor, tallest["height"] * factor], abs=1)
-
-
-def test_silhouettes_are_drawn_as_in_the_answer(page: Any) -> None:
-    mask = np.zeros((240, 320), bool)
-    mask[20:220, 100:180], mask[60:80, 120:140], mask[:, 300:] = True, False, True
-    silhouette = silhouette_from_mask(mask, segmenter="mask", truncated=False)
-    assert silhouette is not None
-    counts = compressed(run_lengths(silhouette, mask.shape))
-    alpha = page.evaluate(
-        """async (counts) => {
-            const {tint} = await import('/static/silhouettes.js');
-            const rle = {counts, size: [240, 320]};
-            const canvas = tint({image: {width: 320, height: 240}, persons: [{silhouette: {rle}}]});
-            const pixels = canvas.getContext('2d').getImageData(0, 0, 320, 240).data;
-            return Array.from({length: 320 * 240}, (_, i) => pixels[4 * i + 3]);
-        }""",
-        counts,
-    )
-    assert np.array_equal(np.reshape(alpha, (240, 320)) > 0, mask)
-
-
-def test_files_may_be_dropped_or_pasted(page: Any, photo: Photo) -> None:
-    send = """([kind, bytes, name]) => {
-        const data = new DataTransfer();
-        data.items.add(new File([new Uint8Array(bytes)], name, {type: 'image/png'}));
-        const event = kind === 'drop' ? new DragEvent('drop', {dataTransfer: data, bubbles: true})
-          : new ClipboardEvent('paste', {clipboardData: data, bubbles: true});
-        document.getElementById('drop').dispatchEvent(event);
-    }"""
-    page.evaluate(send, ["drop", list(photo.frame_png), "a.png"])
-    page.get_by_text("frame=@a.png").wait_for()
-    page.evaluate(send, ["paste", list(photo.frame_png), "b.png"])
-    page.get_by_text("frame=@b.png").wait_for()
-    with page.expect_response("**/pose?*") as answer:
-        page.evaluate(send, ["drop", [1, 2, 3], "broken.png"])
-    assert answer.value.status == 400
-    page.locator("#message").get_by_text("“broken.png”: expected a PNG, JPEG").wait_for()
 
 
 def test_the_answer_can_be_downloaded(page: Any, pictures: list[str]) -> None:

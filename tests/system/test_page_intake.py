@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import ROOT, WALKERS, Photo, Server, running_server
-from tests.system.test_page import STATIC, overflows, pictures
+from tests.conftest import Photo, Server, running_server
+from tests.system.test_page import overflows, pictures
 
 __all__ = ["pictures"]
 
@@ -31,10 +31,6 @@ def test_the_page_begins_with_an_example(browser: Any, server: Server) -> None:
     page.close()
 
 
-def test_the_example_is_the_one_whose_terms_are_known() -> None:
-    assert (STATIC / "example.jpg").read_bytes() == WALKERS.read_bytes()
-
-
 def test_what_may_pass_can_be_tried_again(page: Any, pictures: list[str]) -> None:
     page.route("**/pose?*", lambda route: route.abort())
     page.set_input_files("#file", pictures)
@@ -55,15 +51,6 @@ def test_a_mask_alone_is_a_mask(page: Any, photo: Photo, tmp_path: Path) -> None
     assert "your mask" in page.locator("#facts").inner_text()
     page.get_by_role("button", name="Read it as a photograph").click()
     page.get_by_text("Nobody was found").wait_for()
-
-
-YARD = [str(ROOT / "tests" / "data" / name) for name in ("yard-empty.jpg", "yard.jpg")]
-
-
-def test_a_frame_and_its_empty_scene_are_recognised_by_name(page: Any) -> None:
-    page.set_input_files("#file", YARD)
-    page.get_by_text("-F 'frame=@yard.jpg' -F 'background=@yard-empty.jpg'").wait_for()
-    assert page.locator("#note").is_hidden()
 
 
 def test_the_key_is_asked_for_in_words(browser: Any, key_server: Server) -> None:

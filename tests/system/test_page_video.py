@@ -1,7 +1,6 @@
 """Videos and the webcam on the debug page: a camera session, played and shown over time."""
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -13,6 +12,7 @@ import pytest
 
 from index.skeleton import NATIVE
 from tests.conftest import WALKERS, Server
+from tests.support.programs import run
 from tests.support.videos import numbered_frames, write_video
 from tests.system.test_page import overflows
 
@@ -56,12 +56,12 @@ def answer(number: int, timestamp: float) -> Answer:
 
 
 class Cameras:
-    """Camera sessions that refuse one request."""
+    """Camera sessions."""
 
-    def __init__(self, page: Any, busy_at: int = -1) -> None:
+    def __init__(self, page: Any) -> None:
         self.requests: list[Any] = []
         self.forgotten: list[str] = []
-        self._busy_at, self._frames = busy_at, 0
+        self._frames = 0
         page.route("**/cameras/**", self._handle)
 
     def _handle(self, route: Any) -> None:
@@ -71,10 +71,6 @@ class Cameras:
             route.fulfill(status=204)
             return
         self.requests.append(request)
-        if len(self.requests) - 1 == self._busy_at:
-            retry = {"Retry-After": "1"}
-            route.fulfill(status=503, headers=retry, json={"detail": "not now"})
-            return
         session = "warm" if self._frames else "new"
         content = answer(self._frames, self.timestamps()[-1])
         self._frames += 1
@@ -83,6 +79,16 @@ class Cameras:
     def timestamps(self) -> list[float]:
         queries = [parse_qs(urlsplit(request.url).query) for request in self.requests]
         return [float(query["timestamp"][0]) for query in queries]
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """The script of axe-core, which finds what people with disabilities cannot use."""
+    folder = tmp_path_factory.mktemp("axe")
+    installed = run("npm", "install", "--no-audit", "--no-fund", "axe-core@4", cwd=folder)
+    if installed.returncode != 0:
+        pytest.skip(f"npm install failed: {installed.stderr.strip()[-200:]}")
+    return (folder / "node_modules/axe-core/axe.min.js").read_text()
 
 
 @pytest.fixture
@@ -129,17 +135,6 @@ def test_people_events_and_postures_are_shown(page: Any, clip: str) -> None:
     assert "sitting" not in legend
 
 
-def test_a_frame_is_sent_again_to_a_busy_service(page: Any, clip: str) -> None:
-    cameras = Cameras(page, busy_at=3)
-    page.set_input_files("#file", clip)
-    page.get_by_text("Not now. Trying again").wait_for()
-    page.get_by_text("The end, after").wait_for()
-    times = cameras.timestamps()
-    assert times[4] - times[3] < 0.5
-    assert page.locator("#note").is_hidden()
-    assert page.locator("#message").is_hidden()
-
-
 def test_what_the_browser_cannot_play_the_service_reads(page: Any, tmp_path: Path) -> None:
     walkers(tmp_path, "clip.avi", codec="mjpeg")
     with page.expect_response("**/sequence?*") as sent:
@@ -171,6 +166,18 @@ def draw_zone(page: Any, corners: list[tuple[float, float]], name: str) -> None:
     page.locator("#zone-name").fill(name)
 
 
+def draw_zone_by_keys(page: Any, steps: int, name: str) -> None:
+    """Set the corners of a square about the middle of the picture, then the first one again."""
+    page.get_by_role("button", name="Draw a zone").press("Enter")
+    moves = ["Left Up", "Right Right", "Down Down", "Left Left", "Up Up"]
+    for corner in moves:
+        for direction in corner.split():
+            for _ in range(steps):
+                page.keyboard.press(f"Arrow{direction}")
+        page.keyboard.press("Enter")
+    page.keyboard.type(name)
+
+
 CORNERS = [(0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)]
 
 
@@ -198,6 +205,30 @@ def test_a_zone_is_drawn_with_the_mouse_and_set_for_the_camera(
     page.locator("#zones li").wait_for(state="detached")
 
 
+def test_a_zone_is_drawn_without_a_mouse(page: Any, tmp_path: Path) -> None:
+    page.set_input_files("#file", walkers(tmp_path))
+    page.locator("#crowd tr").first.wait_for()
+    with page.expect_request(lambda request: request.method == "PUT") as sent:
+        draw_zone_by_keys(page, 4, "yard")
+        page.keyboard.press("Enter")
+    page.locator("#zones li").get_by_text("yard").wait_for()
+    (zone,) = sent.value.post_data_json["zones"]
+    corners, (height, width) = np.array(zone["polygon"]), cv2.imread(str(WALKERS)).shape[:2]
+    assert np.allclose(corners.mean(axis=0), [width / 2, height / 2], atol=1)
+    side = np.ptp(corners, axis=0)
+    assert len(corners) == 4 and side[0] == pytest.approx(side[1], abs=1) and side[0] > 20
+
+
+def test_axe_finds_nothing(page: Any, clip: str, axe: str) -> None:
+    Cameras(page)
+    play(page, clip)
+    page.get_by_role("button", name="Draw a zone").click()
+    page.locator("#events li").wait_for()
+    page.evaluate(axe)
+    violations = page.evaluate("axe.run()")["violations"]
+    assert [(one["id"], [node["html"] for node in one["nodes"]]) for one in violations] == []
+
+
 def test_the_webcam_is_a_session_until_it_is_stopped(page: Any) -> None:
     cameras = Cameras(page)
     page.get_by_role("button", name="Use the webcam").click()
@@ -213,21 +244,3 @@ def walkers(tmp_path: Path, name: str = "walkers.webm", codec: str = "libvpx") -
     frame = cv2.imread(str(WALKERS))
     write_video(tmp_path / name, [frame] * 20, codec=codec)
     return str(tmp_path / name)
-
-
-def wait_for_cameras(server: Server, wanted: Callable[[list[str]], bool], page: Any) -> None:
-    for _ in range(100):
-        listed = httpx.get(f"{server.url}/cameras").json()["cameras"]
-        if wanted([camera["camera_id"] for camera in listed]):
-            return
-        page.wait_for_timeout(50)
-    raise AssertionError(f"expected other cameras, got {listed}")
-
-
-def test_closing_the_page_ends_the_session(page: Any, server: Server, tmp_path: Path) -> None:
-    page.set_input_files("#file", walkers(tmp_path))
-    page.locator("#crowd tr").first.wait_for()
-    assert page.locator("#message").is_hidden()
-    wait_for_cameras(server, lambda names: [name[:5] for name in names] == ["page-"], page)
-    page.goto("about:blank")
-    wait_for_cameras(server, lambda names: not names, page)

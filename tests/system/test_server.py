@@ -27,7 +27,7 @@ def slow_frame() -> bytes:
 @pytest.fixture
 def narrow(index_path: Path) -> Iterator[Server]:
     """A server that works on one frame at a time."""
-    with running_server(index_path, POSE_CONCURRENCY="1", POSE_MAX_WAIT_S="2") as running:
+    with running_server(index_path, POSE_CONCURRENCY="1", POSE_MAX_WAIT_S="1") as running:
         yield running
 
 
@@ -44,14 +44,14 @@ def test_overload_is_refused_at_once(narrow: Server, slow_frame: bytes) -> None:
         return response.status_code, seconds, response.headers.get("retry-after")
 
     ask(0)  # From now on it knows what such a frame takes.
-    # A fast machine serves two dozen within the two seconds that a frame may wait.
-    with ThreadPoolExecutor(50) as clients:
-        answers = list(clients.map(ask, range(50)))
+    # A fast machine serves a dozen within the second that a frame may wait.
+    with ThreadPoolExecutor(30) as clients:
+        answers = list(clients.map(ask, range(30)))
     accepted = [seconds for status, seconds, _ in answers if status == 200]
     refused = [(seconds, after) for status, seconds, after in answers if status == 503]
-    assert len(accepted) + len(refused) == 50
+    assert len(accepted) + len(refused) == 30
     assert accepted
-    assert len(refused) >= 15
+    assert len(refused) >= 10
     assert all(int(after or 0) >= 1 for _, after in refused)
     assert np.median([seconds for seconds, _ in refused]) < max(accepted)
     assert value(narrow, "pose_rejected_total", reason="overloaded") == len(refused)
@@ -63,7 +63,7 @@ def test_sigterm_finishes_all_frames_and_exits_with_status_0(
     running = start_server(
         index_path, POSE_CONCURRENCY="2", POSE_MAX_WAIT_S="60", POSE_REQUEST_TIMEOUT_S="60"
     )
-    wait_until(f"{running.url}/readyz")
+    wait_until(f"{running.url}/readyz", timeout_s=120)
     boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(3)])
 
     def ask(_: int) -> int:

@@ -28,27 +28,18 @@ _WINDOW_PX = (64, 128)
 _STRIDE_PX = 8
 
 
-def _people_classifier() -> cv2.HOGDescriptor:
-    hog = cv2.HOGDescriptor()
-    hog.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())  # type: ignore[attr-defined]
-    return hog
-
-
 # Shared by all threads: detection only reads the weights.
-_HOG = _people_classifier()
+_HOG = cv2.HOGDescriptor()
+_HOG.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())  # type: ignore[attr-defined]
 
 # Height of the smallest person searched for by default, as a share of the frame's height: smaller
 # ones take most of the time, and hardly any more of them are found (vtest: 91 instead of 92 %).
 _MIN_PERSON_SHARE = 1 / 8
-# Factor between scales. With 1.1, a search takes half the time and misses large people.
-_SCALE_STEP = 1.05
 # The person in a window, as shares of it: left, top, width, height. Chosen on vtest.
 _PERSON_IN_WINDOW = np.array([0.22, 0.1, 0.56, 0.8])
 # Of two windows, the one with the lower margin is dropped from this overlap (IoU) on, or if so much
 # of the smaller one lies in the other: windows on the legs of a person, for example.
 _MAX_IOU, _MAX_COVERED = 0.4, 0.7
-# Windows that are compared with one another, which bounds the memory.
-_MAX_WINDOWS = 1000
 # Log odds that a window shows a person: slope and offset over its margin. Fitted by
 # `python -m scripts fit-paper` to 134 windows in frames of vtest.
 _SLOPE, _OFFSET = 3.26, -2.57
@@ -92,17 +83,19 @@ class HogDetector:
         image = cv2.copyMakeBorder(
             resize(frame, *size), 0, below, 0, right, cv2.BORDER_REPLICATE
         ).astype(np.uint8, copy=False)
+        # Factor between scales. With 1.1, a search takes half the time and misses large people.
         rects, weights = _HOG.detectMultiScale(
             image,
             winStride=(_STRIDE_PX, _STRIDE_PX),
             padding=(2 * _STRIDE_PX, 2 * _STRIDE_PX),
-            scale=_SCALE_STEP,
+            scale=1.05,
             groupThreshold=0,
         )
         found = np.asarray(rects, np.float64).reshape(-1, 4)
         margins = np.asarray(weights, np.float64).ravel()
         # OpenCV's threads add windows in any order.
-        order = np.lexsort((*found.T, -margins))[:_MAX_WINDOWS]
+        # Windows that are compared with one another, which bounds the memory.
+        order = np.lexsort((*found.T, -margins))[:1000]
         found, margins = found[order], margins[order]
         left, top, across, down = _PERSON_IN_WINDOW
         sides = np.tile(found[:, 2:], 2) * np.array([left, top, across, down])
@@ -127,17 +120,14 @@ def _without_overlaps(boxes: Boxes, margins: NDArray[np.float64]) -> list[int]:
     return kept
 
 
-# Windows in which a box is scored, relative to the box.
-_BOX_SCALE = 1.06
-# Lower margins are raised to this.
-_MIN_MARGIN = -5.0
 # The score of a box is that of the best window within a stride around it.
 _SCORED_PX = tuple(side + 2 * _STRIDE_PX for side in _WINDOW_PX)
 
 
 def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
     """Signed distance from the decision boundary: how much a box looks like a person."""
-    scale = _BOX_SCALE * box.height / PERSON_PX
+    # Windows in which a box is scored, relative to the box.
+    scale = 1.06 * box.height / PERSON_PX
     width, height = (max(1, round(side * scale)) for side in _SCORED_PX)
     left = round(box.x + 0.5 + (box.width - width) / 2)
     top = round(box.y + 0.5 + (box.height - height) / 2)
@@ -146,4 +136,5 @@ def hog_margin(frame: NDArray[np.uint8], box: Box) -> float:
         frame, (width, height), (left + (width - 1) / 2, top + (height - 1) / 2)
     ).astype(np.uint8, copy=False)
     _, margins = _HOG.detect(resize(around, *_SCORED_PX), -10.0, (_STRIDE_PX, _STRIDE_PX), (0, 0))
-    return max(_MIN_MARGIN, float(np.max(margins)))
+    # Lower margins are raised to this.
+    return max(-5.0, float(np.max(margins)))

@@ -17,8 +17,6 @@ from app.vision.geometry import Box, PixelRect, crop, shrink_quickly
 from app.vision.halved import Frame, seen_at
 from app.vision.truncation import gaps_to_border
 
-_SEAM_PX = 4.0  # A box that ends so close to a seam, as a detector sees it, is cut.
-
 
 @dataclass(frozen=True)
 class Tile:
@@ -43,9 +41,8 @@ class Tile:
         whole = box.scaled(1 / self.factor)
         is_seam = (left > 0, top > 0, left + columns < width, top + rows < height)
         gaps = gaps_to_border(whole, (rows, columns))
-        if any(
-            gap < _SEAM_PX / self.factor for gap, seam in zip(gaps, is_seam, strict=True) if seam
-        ):
+        # A box that ends so close to a seam, as a detector sees it, is cut.
+        if any(gap < 4.0 / self.factor for gap, seam in zip(gaps, is_seam, strict=True) if seam):
             return None
         return Box(whole.x + left, whole.y + top, whole.width, whole.height).clip(width, height)
 
@@ -136,13 +133,12 @@ MAX_TILE_PX = 160_000
 """Area of a tile as detectors see it, which bounds the memory."""
 
 _MAX_TILES_PER_SIDE = 8
-# Overlap of tiles, so that a person at a seam is whole in the next tile or the overview.
-_OVERLAP_PX = 96
 
 
 def _grid(width: int, height: int, factor: float) -> list[PixelRect]:
     """Overlapping tiles, small enough when resized by ``factor``, with the smallest total area."""
-    overlap = _OVERLAP_PX / factor
+    # Overlap of tiles, so that a person at a seam is whole in the next tile or the overview.
+    overlap = 96 / factor
     counts = range(1, _MAX_TILES_PER_SIDE + 1)
     widths = {columns: _part(width, columns, overlap) for columns in counts}
     heights = {rows: _part(height, rows, overlap) for rows in counts}

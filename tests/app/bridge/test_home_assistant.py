@@ -93,14 +93,15 @@ def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture
 
 
 def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "BLIND_AFTER_S", 0.5)
     eventually(ward.shows(available="offline"))
-    ward.home.show(1, {"bed": True, "floor": False}, obstructed=True)
-    shown = {"people": "1", "obstructed": "ON", "zones/bed": "ON"}
+    ward.home.show(1, {"bed": True, "floor": False}, {"sitting", "lying"}, obstructed=True)
+    shown = {"people": "1", "obstructed": "ON", "zones/bed": "ON", "posture": "lying"}
     eventually(ward.shows(available="online", **shown))
-    eventually(ward.shows(available="offline", **dict.fromkeys(shown, "None")))
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "BLIND_AFTER_S", 0.1)
+        eventually(ward.shows(available="offline", **dict.fromkeys(shown, "None")))
     ward.home.show(0, {"floor": True})
-    shown = {"people": "0", "obstructed": "OFF", "zones/floor": "ON"}
+    shown = {"people": "0", "obstructed": "OFF", "zones/floor": "ON", "posture": "nobody"}
     eventually(ward.shows(available="online", **shown))
     # The zone that is gone is no longer announced.
     discovered = {

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.estimation.posture import (
@@ -19,7 +18,6 @@ from app.vision.judgement import FRAME_POSTURES, FramePosture
 from index.posture import (
     ON_THE_GROUND,
     POSTURES,
-    SILHOUETTE_GROUPS,
     UPRIGHT,
     PostureName,
     vote_posture,
@@ -134,15 +132,6 @@ def test_unreliable_frames_hardly_change_the_posture() -> None:
     assert posture.label == "lying"
 
 
-def test_landmarks_decide_and_votes_where_there_are_none() -> None:
-    seen, voted = frame_posture(sitting=0.7, standing=0.3), votes("walking")
-    with_landmarks, shares = PostureFilter().update(0.0, voted, seen, 1.0, NARROW)
-    assert with_landmarks == likeliest_posture(shares)
-    assert with_landmarks.probability == pytest.approx(0.7)
-    alone, _ = PostureFilter().update(0.0, voted, None, 1.0, NARROW)
-    assert alone.probability == likeliest_posture(voted).probability
-
-
 def test_a_posture_fades_with_the_probability_of_a_person() -> None:
     postures = PostureFilter()
     first, _ = postures.update(0.0, votes("standing"), None, 1.0, NARROW)
@@ -150,19 +139,3 @@ def test_a_posture_fades_with_the_probability_of_a_person() -> None:
         last, _ = postures.update(frame / 10, votes("standing"), None, 0.2, NARROW)
     presence = np.exp(-1) + (1 - np.exp(-1)) * 0.2
     assert last.probability == pytest.approx(presence * first.probability)
-
-
-@given(
-    grouped=st.lists(st.floats(0, 1), min_size=6, max_size=6).filter(lambda one: sum(one) > 0),
-    votes=st.lists(st.floats(0, 1), min_size=10, max_size=10).filter(lambda one: sum(one) > 0),
-)
-def test_votes_split_a_group_and_leave_its_share(grouped: list[float], votes: list[float]) -> None:
-    given_shares, votes_ = np.array(grouped) / sum(grouped), np.array(votes) / sum(votes)
-    shares = LANDMARK_GROUPS.split(given_shares, votes_)
-    assert_allclose(LANDMARK_GROUPS.sums(shares), given_shares, atol=1e-12)
-    # Silhouettes distinguish all but the upright ones.
-    again = SILHOUETTE_GROUPS.split(SILHOUETTE_GROUPS.sums(shares), votes_)
-    low = [POSTURES.index(name) for name in POSTURES if name not in UPRIGHT]
-    assert_allclose(again[low], shares[low])
-    ahead = votes_[POSTURES.index("walking")] - votes_[POSTURES.index("standing")]
-    assert (again[POSTURES.index("walking")] >= again[POSTURES.index("standing")]) or ahead <= 0

@@ -59,26 +59,6 @@ TWO = np.zeros((120, 160), np.uint8)
 TWO[TALL[0]], TWO[TALL[1]] = 1, 2
 
 
-@pytest.mark.parametrize(
-    "given",
-    [
-        str(__file__), Path(__file__), bytearray(b"x"), Image.fromarray(BGR), BGR.tolist(),
-        BGR / 255, BGR.astype(np.float32), BGR[..., 0], BGR[..., :1], np.dstack([BGR, BGR[..., 0]]),
-        BGR.transpose(2, 0, 1), BGR[None], BGR > 99, BGR.astype(np.int64), BGR.astype(np.uint16),
-        BGR[:0], np.array(None),
-    ],
-)  # fmt: skip
-@pytest.mark.parametrize("field", ["frame", "background"])
-def test_what_other_libraries_give_is_refused(field: str, given: Any) -> None:
-    expected = f"{field}: expected the bytes of an image file or a NumPy array of shape .H, W, 3."
-    with pytest.raises(UploadError, match=expected) as error:
-        Upload(**{"frame": png(BGR), field: given})
-    kind = f"a {type(given).__name__}"
-    if isinstance(given, np.ndarray):
-        kind += f" of shape {given.shape} and dtype {given.dtype}"
-    assert str(error.value).endswith(f"got {kind}")
-
-
 @pytest.mark.parametrize("given", [TWO / 2, TWO[None], BGR, "mask.png", TWO.tolist()])
 def test_masks_of_other_kinds_are_refused(given: Any) -> None:
     with pytest.raises(UploadError, match=r"mask: .* shape \(H, W\) and dtype uint8, uint16 or"):
@@ -146,20 +126,6 @@ def test_images_are_decoded_and_boxes_clipped() -> None:
     assert_array_equal(DECODER.decode(Upload(picture), Job()).frame, picture)
 
 
-@pytest.mark.parametrize(
-    "figures",
-    [
-        # A head apart from its body, and a small object beside a person.
-        (np.s_[0:15, 20:30], np.s_[20:100, 10:40]),
-        (np.s_[20:100, 10:40], np.s_[20:50, 90:120]),
-    ],
-)
-def test_parts_of_one_person_may_share_a_label(figures: tuple[tuple[slice, slice], ...]) -> None:
-    decoded = DECODER.decode(Upload(mask=mask_of(*figures)), Job())
-    assert decoded.mask is not None and len(decoded.mask.present) == 1
-    assert not decoded.frame.any()
-
-
 def test_people_may_cover_the_largest_frame_four_times() -> None:
     many = UploadDecoder(max_pixels=160 * 120, max_persons=9)
     picture, whole = png(frame()), Box(-0.5, -0.5, 160, 120)
@@ -170,11 +136,6 @@ def test_people_may_cover_the_largest_frame_four_times() -> None:
     for fields in ({"frame": picture, "boxes": [whole] * 5}, {"mask": crossing}):
         with pytest.raises(UploadError, match="at most 76800 pixels, got 96000"):
             many.decode(Upload(**fields), Job())
-
-
-def test_people_apart_may_have_labels_of_their_own() -> None:
-    decoded = DECODER.decode(Upload(mask=mask_of(*TALL, labels=True)), Job())
-    assert decoded.mask is not None and len(decoded.mask.present) == 2
 
 
 @pytest.mark.parametrize("quarters", [0, 1, 2, 3, 4])
@@ -201,3 +162,23 @@ def test_rectified_frames_and_boxes_stay_within_the_limits() -> None:
     many = UploadDecoder(max_pixels=80_000, max_persons=15)
     with pytest.raises(UploadError, match="boxes: expected people whose boxes"):
         many.decode(Upload(frame(), boxes=boxes * 2, optics=Optics(pixel_aspect=0.25)), Job())
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        str(__file__), Path(__file__), bytearray(b"x"), Image.fromarray(BGR), BGR.tolist(),
+        BGR / 255, BGR.astype(np.float32), BGR[..., 0], BGR[..., :1], np.dstack([BGR, BGR[..., 0]]),
+        BGR.transpose(2, 0, 1), BGR[None], BGR > 99, BGR.astype(np.int64), BGR.astype(np.uint16),
+        BGR[:0], np.array(None),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("field", ["frame", "background"])
+def test_what_other_libraries_give_is_refused(field: str, given: Any) -> None:
+    expected = f"{field}: expected the bytes of an image file or a NumPy array of shape .H, W, 3."
+    with pytest.raises(UploadError, match=expected) as error:
+        Upload(**{"frame": png(BGR), field: given})
+    kind = f"a {type(given).__name__}"
+    if isinstance(given, np.ndarray):
+        kind += f" of shape {given.shape} and dtype {given.dtype}"
+    assert str(error.value).endswith(f"got {kind}")

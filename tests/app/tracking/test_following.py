@@ -17,16 +17,17 @@ from app.estimation.upload import DecodedUpload, Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.following import (
+    CALM_SEARCH_EVERY_S,
     EMPTY_SEARCH_EVERY_S,
     SEARCH_EVERY_S,
     STILL_SEARCH_EVERY_S,
-    UNCHANGED_SEARCH_EVERY_S,
     TrackedPeopleDetector,
 )
 from app.tracking.track import Track
 from app.tracking.zones import Zone
+from app.vision.judgement import Trust
 from app.vision.optics import PinholeCamera
-from tests.app.drawn import ColourDetector, ColourReader, draw, ids, send
+from tests.app.drawn import PERSON, ColourDetector, ColourReader, draw, ids, send
 from tests.conftest import png
 from tests.golden import pictures
 
@@ -59,7 +60,7 @@ def test_every_frame_reads_everyone_and_some_search_the_whole_frame(
         for tracked, left in zip(result.persons, lefts, strict=True):
             assert tracked.silhouette is not None and tracked.landmarks is not None
             assert tracked.silhouette.box.x == pytest.approx(left - 0.5, abs=2)
-    assert detector.searches == 1 + 1 // UNCHANGED_SEARCH_EVERY_S
+    assert detector.searches == 1 + 1 // CALM_SEARCH_EVERY_S
 
 
 def test_a_search_for_a_person_who_is_lost_reads_nobody_twice(
@@ -112,6 +113,23 @@ def test_movenet_looks_at_tracked_people_now_and_then(
     once = [one + other for one, other in zip(looks, searches, strict=True)]
     assert once == [int(step % 2 == 0) for step in range(41)]
     assert sum(looks) >= 3 and sum(searches) >= 3
+
+
+@pytest.mark.parametrize("each", [False, True])
+def test_silhouettes_move_along_between_looks_unless_each_is_wanted(
+    session: CameraSession, drawn: Estimator, monkeypatch: pytest.MonkeyPatch, *, each: bool
+) -> None:
+    reader, masks = drawn.models.reader, list[object]()
+    monkeypatch.setattr(reader, "with_mask", lambda one: masks.append(one) or one)
+    for step in range(31):
+        left = 10 + 2 * step
+        frame = Upload(draw((0, left), seed=step))
+        (person,) = session.process(frame, step / 30, 0, Job(), drawn=each).persons
+        assert person.silhouette is not None
+        assert person.box == person.silhouette.box
+        assert person.box.x == pytest.approx(left - 0.5, abs=2)
+        assert person.silhouette.area_px == pytest.approx(30 * PERSON, rel=0.1)
+    assert len(masks) == 31 if each else 3 <= len(masks) <= 5
 
 
 def test_an_unchanged_person_is_estimated_anew_if_something_else_is_asked(
@@ -235,11 +253,17 @@ def test_a_still_scene_is_searched_rarely(
     assert detector.searches == 12 / interval_s
 
 
-@pytest.mark.parametrize("flicker", [0, 20])
-def test_while_nothing_changes_around_a_walker_searches_are_rarer(
-    session: CameraSession, detector: ColourDetector, flicker: int
+@pytest.mark.parametrize(("flicker", "sure"), [(0, False), (20, False), (20, True)])
+def test_if_a_walker_is_surely_read_or_nothing_changes_around_searches_are_rarer(
+    session: CameraSession,
+    detector: ColourDetector,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    flicker: int,
+    sure: bool,
 ) -> None:
-    every = SEARCH_EVERY_S if flicker else UNCHANGED_SEARCH_EVERY_S
+    monkeypatch.setattr(Trust, "is_right", property(lambda trust: sure))
+    every = SEARCH_EVERY_S if flicker and not sure else CALM_SEARCH_EVERY_S
     times = [0.201 * step for step in range(9)]
     for step, time in enumerate(times):
         send(session, time, (0, 10 + 5 * step), light=150 + flicker * (step % 2))

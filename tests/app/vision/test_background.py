@@ -81,3 +81,8 @@ def test_pixels_of_overlapping_boxes_go_to_the_nearer_middle(empty: np.ndarray) 
     for one, person in zip(found, people, strict=True):
         assert one is not None
         assert iou(one.mask(frame.shape), person) > 0.8
+
+
+def test_background_of_another_size_is_refused(empty: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="background of shape"):
+        foreground(empty[:-1], empty)

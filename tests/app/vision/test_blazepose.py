@@ -7,13 +7,7 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, LandmarkNetwork, MaskNetwork
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.people import LANDMARK_NAMES
-from tests.support.rotation import rotate_points
 
-LIMBS = [
-    row
-    for row, name in enumerate(LANDMARK_NAMES)
-    if name.endswith(("shoulder", "elbow", "wrist", "hip", "knee", "ankle"))
-]
 WALKER = pytest.mark.parametrize("number", range(3))
 
 
@@ -50,30 +44,3 @@ def test_landmarks_and_mask_are_the_walkers(
     assert inside.mean() > 0.95
     area = len(x) * (reading.window.side / LANDMARK_PX) ** 2
     assert 0.25 < area / box.area < 0.75
-
-
-@pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-@WALKER
-def test_landmarks_rotate_with_the_street(
-    landmark_network: LandmarkNetwork,
-    street: NDArray[np.uint8],
-    walkers: list[Box],
-    number: int,
-    quarter_turns: int,
-) -> None:
-    window = PersonWindow.about_box(walkers[number])
-    here = landmark_network.read(street, window)
-    x, y = rotate_points(np.array([window.x, window.y]), street.shape, quarter_turns).tolist()
-    there = landmark_network.read(
-        np.ascontiguousarray(np.rot90(street, quarter_turns)),
-        PersonWindow(x, y, window.side, -90.0 * quarter_turns),
-    )
-    positions = rotate_points(here.landmarks.positions, street.shape, quarter_turns)
-    metres = here.landmarks.metres.copy()
-    metres[:, :2] = rotate_points(metres[:, :2], (1, 1), quarter_turns)
-    for found, expected, height in (
-        (there.landmarks.positions, positions, walkers[number].height),
-        (there.landmarks.metres, metres, 1.7),
-    ):
-        assert np.linalg.norm((found - expected)[LIMBS], axis=-1).mean() < 0.02 * height
-    assert there.drift == pytest.approx(here.drift, abs=0.05)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -11,7 +11,6 @@ from app.vision.geometry import (
     Box,
     PersonWindow,
     crop,
-    crop_and_resize,
     iou_matrix,
     non_max_suppression,
     sample_window,
@@ -98,24 +97,6 @@ def test_crop_is_zero_beyond_the_image(left: int, top: int, width: int, height: 
     assert_array_equal(crop(noise(30, 40), rect), padded_crop(noise(30, 40), *rect))
 
 
-@given(
-    left=st.integers(-500, 90), top=st.integers(-500, 90),
-    columns=st.integers(60, 900), rows=st.integers(60, 900),
-)  # fmt: skip
-def test_large_crops_are_accurate_to_a_pixel(left: int, top: int, columns: int, rows: int) -> None:
-    image = np.full((80, 100, 3), 255, np.uint8)
-    # Slivers thinner than a pixel of the result may show or not.
-    assume(min(left + columns, 100) - max(left, 0) > columns / 48)
-    assume(min(top + rows, 80) - max(top, 0) > rows / 64)
-    expected, found = (
-        crop_and_resize(image, (left, top, columns, rows), 48, 64, max_crop_px)[..., 0] > 127
-        for max_crop_px in (2**22, 0)
-    )
-    assert found.shape == expected.shape
-    for axis in (0, 1):
-        assert abs(found.any(axis=axis).sum() - expected.any(axis=axis).sum()) <= 2
-
-
 def window_of_pixels(left: int, top: int, pixels: int, roll_deg: float = 0.0) -> PersonWindow:
     middle = (pixels - 1) / 2
     return PersonWindow(left + middle, top + middle, float(pixels), roll_deg)
@@ -126,16 +107,3 @@ def test_window_of_whole_pixels_is_a_crop(left: int, top: int, pixels: int) -> N
     frame = noise(90, 120)
     expected = padded_crop(frame, left, top, pixels, pixels)
     assert_array_equal(sample_window(frame, window_of_pixels(left, top, pixels), pixels), expected)
-
-
-@pytest.mark.parametrize("roll_deg", [0.0, 35.0, 180.0])
-def test_averaging_shifts_nothing(roll_deg: float) -> None:
-    """A slope of brightness stays in place in a window coarser than the frame."""
-    rows, columns = np.mgrid[:600, :800]
-    frame = np.repeat(((columns + rows) * (250 / 1400))[..., None], 3, axis=2).astype(np.uint8)
-    window = PersonWindow(403.3, 296.7, 400.0, roll_deg)
-    seen = sample_window(frame, window, 32)[..., 0]
-    grid = np.stack(np.meshgrid(np.arange(32.0), np.arange(32.0)), axis=-1)
-    x, y = np.moveaxis(transform_points(window.to_frame(32), grid), -1, 0)
-    # Grey levels are cut off to whole numbers twice; one is 5.6 pixels.
-    assert np.abs(seen + 0.5 - (x + y) * (250 / 1400)).max() < 1.5

@@ -69,3 +69,12 @@ def test_any_box_is_cut_out_or_not(
         frame = np.random.default_rng(0).integers(0, 256, frame.shape).astype(np.uint8)
     (found,) = cut_out_by_colour(frame, [Box(x, y, width, height)], SHAPE)
     assert found is None or found.mask(frame.shape).any()
+
+
+def test_people_side_by_side_share_no_pixel() -> None:
+    frame, _ = scene()
+    frame = np.hstack([frame, frame])
+    boxes = [Box(75, 40, 90, 172), Box(235, 40, 90, 172)]
+    first, second = cut_out_by_colour(frame, boxes, SHAPE)
+    assert first is not None and second is not None
+    assert not (first.mask(frame.shape) & second.mask(frame.shape)).any()

@@ -96,3 +96,9 @@ def test_large_people_are_followed_in_half_the_pixels(
 def followed(estimator: Estimator, film: list[bytes]) -> list[tuple[TrackedPerson, ...]]:
     session = CameraSession(estimator)
     return [session.process(Upload(data), step / 10, 0).persons for step, data in enumerate(film)]
+
+
+def test_a_dark_frame_is_dark_at_half_its_size() -> None:
+    found = halved(encode(scene(640, 480) // 16, ".jpg"), (480, 640, 3))
+    assert found is not None
+    assert found[1] == ("dark",)

@@ -46,28 +46,6 @@ def landmarks(*parts: str) -> list[int]:
     return [LANDMARK_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in parts]
 
 
-def test_the_numbers_of_a_body_that_stands_upright() -> None:
-    """Bones point up (1) or down (-1); heights are above the ankles, in lengths of the legs."""
-    points = np.zeros((33, 3))
-    points[0::2, 0], points[1::2, 0] = -0.1, 0.1
-    downwards = {"ear": -0.7, "shoulder": -0.5, "wrist": 0.0, "hip": 0.0, "knee": 0.4, "ankle": 0.8}
-    for part, y in downwards.items():
-        points[landmarks(part), 1] = y
-    visibility = np.full(33, 0.1)
-    for part, seen in (("knee", 0.7), ("ankle", 0.8), ("hip", 0.9)):
-        visibility[landmarks(part)[0]] = seen
-    expected = [
-        *(1, 0, -1, 0, -1, 0, 1, 0),  # Trunk, thighs, shanks and head; sines and their complements.
-        *(-1, -1, -1, -1),  # Each thigh and shank.
-        *(0, 0, 0),  # Away from the camera.
-        *(-1, -1, 1, 1),  # Hips and knees are straight.
-        *(1.5, np.log(1.55 / 0.25)),  # Higher than wide.
-        *(1, 1.625, 1, 0.5),  # Hips, shoulders, lowest wrist and knee.
-        *(np.sin(np.deg2rad(20)), np.cos(np.deg2rad(20)), 0.6, np.log(0.4), 0.7, 0.8, 0.9),
-    ]
-    assert_allclose(posture_features(points, visibility, 20.0, 0.6, 0.4), expected, atol=1e-9)
-
-
 def made_up(count: int) -> dict[str, NDArray[np.float64]]:
     """Passes of the network over people of some size, anywhere in their windows."""
     rng = np.random.default_rng(3)

@@ -70,16 +70,6 @@ def test_soft_edges_answer_as_a_hard_mask(levels: int, peak: int, blur: float) -
     assert vars(box) == pytest.approx(vars(hard), abs=2)
 
 
-def test_labels_of_people_who_hide_one_another_are_kept() -> None:
-    """One who is almost covered shows a rim; a child before an adult is surrounded."""
-    labels = np.zeros(FIGURE.shape, np.uint8)
-    for label, one in ((4, figure(x=64)), (9, figure(x=59)), (2, figure(x=20, height=60))):
-        labels[one >= 0.5] = label
-    child, adult = figure(35, y=50), figure(140, y=-20)
-    for image in (labels, np.where(child >= 0.5, 5, (adult >= 0.5) * 3).astype(np.uint8)):
-        assert (decoded(image).labels != image).sum() < 5  # Slivers of three pixels.
-
-
 @pytest.mark.parametrize("labels", [(40, 80, 120), (1, 120, 255)])
 def test_people_with_soft_edges_are_refused(labels: tuple[int, ...]) -> None:
     """Of 80, no one knows whether it is a person or half of 160."""
@@ -131,12 +121,6 @@ def test_specks_change_nothing(seed: int, size: int, value: int) -> None:
     assert vars(answer.boxes[0]) == pytest.approx(
         vars(LabelImage.of(HARD.view(np.uint8)).boxes[0]), abs=1
     )
-
-
-def test_limbs_cut_off_by_a_post_are_kept() -> None:
-    mask = HARD.copy()
-    mask[80:84] = False
-    assert_array_equal(decoded(mask.view(np.uint8)).labels, mask)
 
 
 @pytest.mark.parametrize("soft", [False, True])

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from app.vision.movenet import (
-    CELL_PX,
     KEYPOINT_WINDOW_PX,
     KEYPOINT_WINDOW_SCALE,
-    MIN_KEYPOINT_SCORE,
     KeypointReader,
     MoveNet,
     MoveNetDetection,
-    decode_heads,
     keypoint_window,
 )
 from tests.app.vision.conftest import moved
@@ -87,66 +84,6 @@ def test_people_move_with_the_image(
         assert_allclose(corners(other.box), expected, atol=1 if whole else 2)
         offsets = other.keypoints.positions - one.keypoints.positions - (x, y)
         assert np.median(np.linalg.norm(offsets, axis=1)) < (0.5 if whole else 1.5)
-
-
-CELLS = (40, 48)
-
-
-def heads_of(people: list[tuple[Box, NDArray[np.float64], float]]) -> list[NDArray[np.float32]]:
-    """Heads that show people of given boxes, keypoints ``(17, 2)`` in pixels, and scores."""
-    heads = [np.zeros((*CELLS, channels), np.float32) for channels in (1, 2, 2, 34, 17, 34)]
-    centres, sizes, offsets, guesses, heatmaps, places = heads
-    for box, points, score in people:
-        cells = (points[:, ::-1] + 0.5) / CELL_PX
-        middle = np.array([box.y + box.height / 2, box.x + box.width / 2])
-        middle = (middle + 0.5) / CELL_PX
-        row, column = np.floor(middle).astype(int)
-        centres[row, column] = score
-        sizes[row, column] = np.array([box.height, box.width]) / CELL_PX
-        offsets[row, column] = middle - (row, column)
-        # The guess is good to a cell; the heatmap's peak and the position in its cell are exact.
-        guesses[row, column] = (cells - (row, column) + 0.7).ravel()
-        for number, (y, x) in enumerate(np.floor(cells).astype(int)):
-            heatmaps[y, x, number] = 0.9
-            places[y, x, 2 * number : 2 * number + 2] = cells[number] - (y, x)
-    return heads
-
-
-@given(seed=st.integers(0, 9999), count=st.integers(0, 12))
-def test_heads_are_decoded(seed: int, count: int) -> None:
-    """Boxes and keypoints of any number of people, each in a field of its own."""
-    rng = np.random.default_rng(seed)
-    people = []
-    for place in rng.permutation(12)[:count]:
-        left, top = 48.0 * (place % 4), 53.0 * (place // 4)
-        size = rng.uniform(20, 40, 2)
-        box = Box(left + 3, top + 3, *size)
-        # As in the published graph, the first cell that a box cuts is not searched.
-        points = np.array([left + 3, top + 3]) + rng.uniform(CELL_PX, size - 1, (17, 2))
-        people.append((box, points, float(rng.uniform(0.1, 1))))
-    found = decode_heads(heads_of(people))
-    assert [one.centre_score for one in found] == sorted(
-        (one.centre_score for one in found), reverse=True
-    )
-    assert len(found) == count
-    for one, (box, points, score) in zip(
-        found, sorted(people, key=lambda person: -person[2]), strict=True
-    ):
-        assert one.centre_score == pytest.approx(score)
-        assert_allclose(corners(one.box), corners(box), atol=1e-3)
-        assert_allclose(one.keypoints.positions, points, atol=1e-3)
-        visible = one.keypoints.scores > MIN_KEYPOINT_SCORE
-        assert one.score == pytest.approx(score * one.keypoints.scores[visible].mean(), rel=1e-4)
-    assert decode_heads(heads_of([(box, points, 0.01) for box, points, _ in people])) == []
-
-
-def test_keypoint_claimed_by_two_goes_to_the_nearer_person() -> None:
-    """Two shoulder to shoulder: each heatmap has both peaks within both boxes."""
-    left, right = Box(10, 10, 80, 100), Box(40, 10, 80, 100)
-    people = [(left, np.full((17, 2), 42.0), 0.8), (right, np.full((17, 2), 86.0), 0.9)]
-    found = decode_heads(heads_of(people))
-    for one, (_, points, _) in zip(found, people[::-1], strict=True):
-        assert_allclose(one.keypoints.positions, points, atol=1e-3)
 
 
 sides, places = st.floats(1, 900), st.floats(-300, 900)

@@ -15,7 +15,11 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.same_person import first_of_body
-from app.vision.silhouettes import silhouettes_from_labels, silhouettes_of
+from app.vision.silhouettes import (
+    DrawnSilhouette,
+    silhouettes_from_labels,
+    silhouettes_of,
+)
 from tests.app.painted import painted
 
 SHAPE = (240, 320, 3)
@@ -165,6 +169,32 @@ def test_walkers_are_cut_out(
         assert one is not None and one.segmenter == "network" and not one.truncated
         assert one.box.iou(box) > 0.7
         assert 0.25 < one.area_px / box.area < 0.75
+
+
+def test_a_drawn_silhouette_moves_along_with_the_landmarks_of_the_same_shape() -> None:
+    reading = painted(Box(100.0, 60.0, 60.0, 120.0))
+    (silhouette,) = silhouettes_of([reading], [Box(100.0, 60.0, 60.0, 120.0)], SHAPE, exact=True)
+    assert silhouette is not None
+    positions = reading.landmarks.positions
+    drawn = DrawnSilhouette(silhouette, positions)
+
+    def moved(to: NDArray[np.float64]) -> Silhouette | None:
+        landmarks = replace(reading.landmarks, positions=to)
+        return drawn.on_landmarks(replace(reading, landmarks=landmarks), SHAPE)
+
+    away = moved(positions + np.array([30.0, -20.0]))
+    assert away is not None
+    assert np.array_equal(away.crop, silhouette.crop)
+    assert (away.left, away.top) == (silhouette.left + 30, silhouette.top - 20)
+    middle = positions.mean(axis=0)
+    larger = moved(middle + 1.05 * (positions - middle))
+    assert larger is not None
+    assert larger.area_px == pytest.approx(1.05**2 * silhouette.area_px, rel=0.05)
+    turned = (positions - middle) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    assert moved(middle + turned) is None
+    assert moved(positions - np.array([120.0, 0.0])) is None  # Beyond the border.
+    cut = DrawnSilhouette(replace(silhouette, truncated=True), positions)
+    assert cut.on_landmarks(reading, SHAPE) is None
 
 
 def test_labels_become_silhouettes_from_left_to_right() -> None:

@@ -1,13 +1,10 @@
 """The paper's experiments: their data, what is counted, and the descriptors that are compared."""
 
-from math import comb
-
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
-from descriptor.krawtchouk import weighted_polynomials as krawtchouk
 from descriptor.silhouette import HEIGHT, WIDTH
 from scripts.experiments.paper import (
     COUNTS,
@@ -18,7 +15,6 @@ from scripts.experiments.paper import (
     met_at_px,
 )
 from scripts.experiments.paper_data import DATA, errors_px, nearest, read_paper_data, recognised
-from scripts.experiments.paper_descriptors import hahn_weights, hu_moments, weighted_polynomials
 from scripts.index.descriptor_learning import view_joints
 from scripts.index.simulate import Simulation
 from tests.conftest import SHARED
@@ -72,41 +68,6 @@ def test_the_amplitude_that_meets_the_published_fall_is_interpolated(scale: int)
     met = met_at_px({1: {"paper": rates.tolist()}})
     assert met == {"published_at_2": pytest.approx(2 * scale), "published_at_3": 3 * scale}
     assert met_at_px({1: {"paper": [90.0] * len(STDS_PX)}})["published_at_3"] is None
-
-
-@pytest.mark.parametrize(("size", "p"), [(128, 0.1), (128, 0.95), (48, 0.5)])
-def test_polynomials_of_binomial_weights_are_krawtchouks(size: int, p: float) -> None:
-    binomial = np.array([comb(size - 1, x) * p**x * (1 - p) ** (size - 1 - x) for x in range(size)])
-    # Up to their signs.
-    assert_allclose(
-        np.abs(weighted_polynomials(binomial, 24)), np.abs(krawtchouk(24, size, p)), atol=1e-9
-    )
-
-
-def test_hahns_weights_lie_between_even_and_binomial_ones() -> None:
-    assert_allclose(hahn_weights(48, 0.5, 0.0), 1.0)
-    binomial = np.array([comb(47, x) for x in range(48)]) / comb(47, 23)
-    assert_allclose(hahn_weights(48, 0.5, 1e6), binomial, atol=1e-3)
-
-
-def test_hus_moments_change_only_one_sign_in_the_mirror(data: Data) -> None:
-    silhouettes = data[1].silhouettes(np.arange(0, 608, 40))
-    there, mirrored = (
-        hu_moments(silhouettes),
-        hu_moments(np.ascontiguousarray(silhouettes[:, :, ::-1])),
-    )
-    assert_allclose(there[:, :6], mirrored[:, :6], atol=1e-3)
-    assert_allclose(there[:, 6], -mirrored[:, 6], atol=1e-3)
-
-
-def test_zernikes_moments_do_not_change_in_the_mirror(data: Data) -> None:
-    pytest.importorskip("mahotas", reason="make paper installs it")
-    from scripts.experiments.paper_descriptors import zernike_moments
-
-    silhouettes = data[1].silhouettes(np.array([3, 300]))
-    assert_allclose(
-        zernike_moments(silhouettes), zernike_moments(silhouettes[:, :, ::-1]), atol=1e-6
-    )
 
 
 @pytest.mark.slow

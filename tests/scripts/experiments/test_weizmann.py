@@ -58,21 +58,3 @@ def test_nobody_is_recognised_by_their_own_frames(file: Path) -> None:
     counts = np.array(vote_figures(films, DiagonalDescriptor().describe)["confusion"])
     wave2 = ACTIONS.index("wave2")
     assert counts[wave2].sum() == 1 and counts[wave2, wave2] == 0
-
-
-@pytest.mark.parametrize(
-    ("structs", "message"),
-    [
-        ({"aligned_masks": {"daria_walk": masks("walk", 12)}}, "holds no struct original_masks"),
-        ({"original_masks": {"daria_fly": masks("walk", 12)}}, "none of the ten actions"),
-        ({"original_masks": {"daria_walk": 7 * masks("walk", 12)}}, "not masks of 0 and 1"),
-        ({"original_masks": {"daria_walk": masks("walk", 12)[..., 0]}}, r"shape \(72, 90\)"),
-        ({"original_masks": {"daria_walk": masks("walk", 12)}}, "fewer than two people"),
-    ],
-)
-def test_a_file_of_another_layout_is_refused(
-    tmp_path: Path, structs: dict[str, object], message: str
-) -> None:
-    savemat(tmp_path / "other.mat", structs)
-    with pytest.raises(ValueError, match=message):
-        read_films(tmp_path / "other.mat")

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from app.networks.dense import DenseNetwork
-from scripts.training.fit_dense import averaged, fit_dense
+from scripts.training.fit_dense import fit_dense
 
 
 def network(seed: int, hidden: int) -> DenseNetwork:
@@ -20,12 +20,6 @@ def network(seed: int, hidden: int) -> DenseNetwork:
 
 
 FEATURES = np.random.default_rng(9).normal(size=(10, 4))
-
-
-def test_an_average_gives_the_mean_of_its_networks() -> None:
-    parts = [network(seed, 3 + seed) for seed in range(3)]
-    expected = np.mean([part(FEATURES) for part in parts], axis=0)
-    assert_allclose(averaged(parts)(FEATURES), expected, atol=1e-5)
 
 
 @pytest.mark.slow

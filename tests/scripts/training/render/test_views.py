@@ -7,7 +7,7 @@ pytest.importorskip("numba")
 
 from app.vision.judgement import FRAME_POSTURES
 from scripts.training.render.scene import Photograph
-from scripts.training.render.views import hide, spoil
+from scripts.training.render.views import hide
 from scripts.training.render_postures import VIEWS, Reader
 
 LYING = FRAME_POSTURES.index("lying")
@@ -44,14 +44,6 @@ def test_what_is_hidden_is_not_shown(seed: int) -> None:
     if hidden.image.shape != whole.image.shape:
         beyond = hidden.places[~hidden.shown] + 0.5
         assert ((beyond < 1.5) | (beyond > np.array([columns, rows]) - 1.5)).any(axis=1).all()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_spoilt_picture_keeps_its_size_and_loses_detail(seed: int) -> None:
-    image = photograph(seed).image
-    spoilt = spoil(image, np.random.default_rng(seed))
-    assert spoilt.shape == image.shape and spoilt.dtype == np.uint8
-    assert spoilt.std() < image.std()
 
 
 def test_the_service_reads_every_view() -> None:
