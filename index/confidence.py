@@ -76,16 +76,16 @@ class ConfidenceModel:
         return powers / powers.sum()
 
 
-# Fitted by `python -m scripts fit-confidence` to the hypotheses of 446 rendered people.
+# Fitted by `python -m scripts fit-confidence` to the hypotheses of 450 rendered people.
 LANDMARK_CONFIDENCE = ConfidenceModel(
-    landmarks_px=3.303,
-    reliability_power=0.235,
-    reprojection_share=0.443,
-    fitted_share=0.757,
-    sharpness=5.65,
-    depth_offset=-0.582,
-    depth_weight=0.477,
-    weight_power=0.188,
+    landmarks_px=3.689,
+    reliability_power=0.325,
+    reprojection_share=0.315,
+    fitted_share=1.173,
+    sharpness=3.093,
+    depth_offset=-0.675,
+    depth_weight=0.404,
+    weight_power=0.124,
 )
 
 
