@@ -120,6 +120,7 @@ def test_a_fall_is_shown_for_a_while_with_its_time(
     monkeypatch.setattr(module, "FELL_SHOWN_S", 1)
     eventually(lambda: ward.fell == {"state": "OFF"})
     config = f"homeassistant/binary_sensor/silhouette_pose_{module.slug('ward.1')}/fell/config"
+    eventually(lambda: config in ward.subscriber.latest)
     template = jinja2.Template(json.loads(ward.subscriber.latest[config])["value_template"])
     assert template.render(value_json=ward.fell) == "OFF"
     ward.outbox.put(message(1))
