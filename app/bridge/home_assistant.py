@@ -32,8 +32,8 @@ BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
 _UNKNOWN = "None"  # As Home Assistant's sensors have it.
-_LASTING = ("lying", "arms_raised", "obstructed")
-EVENT_TYPES = [*EVENT_NAMES, *(f"{name}_ended" for name in _LASTING)]
+_WITH_AN_END = ("lying", "arms_raised", "obstructed")
+EVENT_TYPES = [*EVENT_NAMES, *(f"{name}_ended" for name in _WITH_AN_END)]
 POSTURES = [
     *("nobody", "unclear", "standing", "walking", "running", "arms_raised", "bending", "kneeling"),
     *("crouching", "sitting", "crawling", "lying"),
@@ -73,7 +73,7 @@ class HomeAssistant:
         self, address: SplitResult, camera_id: str, name: str | None = None, link: str | None = None
     ) -> None:
         self._device = f"silhouette_pose_{slug(camera_id)}"
-        self._maker = {
+        self._info = {
             "identifiers": [self._device],
             "name": name or f"Silhouette pose {camera_id}",
             "manufacturer": "silhouette-pose",
@@ -84,7 +84,7 @@ class HomeAssistant:
         self._base = f"silhouette-pose/{camera_id}"
         self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
         self._last_fall, self._events = f"{self._base}/last_fall", f"{self._base}/events"
-        self._lasting = (self._fell, self._last_fall, self._events)
+        self._kept = (self._fell, self._last_fall, self._events)
         self._fell_until = self._seen_at = 0.0
         self._fall_shown = ""  # Its id.
         self._is_closed = self._is_withdrawn = False
@@ -209,7 +209,7 @@ class HomeAssistant:
         with self._changed:
             self._state[self._available] = "offline"
             for topic in self._entities.values():
-                if topic not in self._lasting and self._state.get(topic):
+                if topic not in self._kept and self._state.get(topic):
                     self._state[topic] = _UNKNOWN
 
     def withdraw(self) -> None:
@@ -274,7 +274,7 @@ class HomeAssistant:
             "unique_id": f"{self._device}_{entity}",
             "state_topic": topic,
             "availability_topic": self._available,
-            "device": self._maker,
+            "device": self._info,
             "origin": {"name": "silhouette-pose-watch", "sw_version": VERSION},
             **fields,
         }
