@@ -18,11 +18,12 @@ from app.scene import Patch, View
 from app.scheduling.job import Job
 from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
-from app.tracking.occlusion import PREDICTED_FOR_S, covered_share, hidden_box
+from app.tracking.place import PREDICTED_FOR_S, Place
 from app.tracking.replay import Recorder
 from app.tracking.results import Event, EventState, TrackedFrame, TrackedPerson
 from app.tracking.track import Track, associate
 from app.tracking.zones import Zone, is_outside
+from app.vision.geometry import Box
 from app.vision.halved import Frame
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera
@@ -386,15 +387,23 @@ class CameraSession:
         return [
             (Person(box, "track"), track)
             for track in self._tracks
-            if track.seen_at < timestamp
-            and (box := track.lies_at or hidden_box(track, self._tracks, shape, timestamp))
+            if track.place.seen_at < timestamp
+            and (box := track.place.lies_at or self._hidden_box(track, shape, timestamp))
         ]
+
+    def _hidden_box(self, track: Track, shape: tuple[int, ...], timestamp: float) -> Box | None:
+        others = [other.place for other in self._tracks]
+        return track.place.hidden_box(others, shape, timestamp)
+
+    def _named_places(self) -> list[Place]:
+        """Places of people with an identity, who cover others."""
+        return [track.place for track in self._tracks if track.track_id is not None]
 
     def _confirm(self, timestamp: float, zones: Sequence[Zone]) -> None:
         """Count a frame of each track, and give an identity to those that now count as people."""
         for track in self._tracks:
             track.age_frames += 1
-            if track.track_id is None and track.is_confirmed:
+            if track.track_id is None and track.confirmation.holds:
                 self._given_ids += 1
                 self._events.append(track.confirm(self._given_ids, timestamp, zones))
 
@@ -406,15 +415,15 @@ class CameraSession:
         """
         kept = []
         for track in self._tracks:
-            place, named = track.box_filter.seen, track.track_id is not None
-            hidden = named and hidden_box(track, self._tracks, frame.shape, timestamp) is not None
-            track.hidden |= hidden
+            place, named = track.place.seen, track.track_id is not None
+            hidden = named and self._hidden_box(track, frame.shape, timestamp) is not None
+            track.place.hidden |= hidden
             # Found by the detector, and last seen where nobody leaves the frame.
-            vanished = track.next_window is not None and not may_have_left(place, frame.shape)
+            vanished = track.last.next_window is not None and not may_have_left(place, frame.shape)
             predicted = hidden or (named and vanished)
             longest = PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
-            if timestamp - track.seen_at > longest:
-                covered = covered_share(track, place, self._tracks, timestamp)
+            if timestamp - track.place.seen_at > longest:
+                covered = track.place.covered_share(place, self._named_places(), timestamp)
                 events, stays = track.lose(frame, timestamp, alone=covered == 0)
                 self._events += events
                 if not stays:
@@ -451,7 +460,7 @@ class CameraSession:
                 timestamp,
                 zones,
                 frame=upload.frame,
-                covered=covered_share(track, person.box, self._tracks, timestamp),
+                covered=track.place.covered_share(person.box, self._named_places(), timestamp),
                 floor=self._floor,
             )
             self._events += events

@@ -269,7 +269,7 @@ def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estim
 
 
 def normalise_person(person: Person) -> NormalisedPerson | None:
-    if person.matched is not None:
+    if person.moved_along and person.matched is not None:
         return replace(person.matched.normalised, landmarks=person.landmarks)
     if person.silhouette is None:
         return None
@@ -292,7 +292,7 @@ def fit_poses(
         return person
     landmarks = normalised.normalised_landmarks()
     silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
-    if person.matched is not None and landmarks is not None:
+    if person.moved_along and person.matched is not None and landmarks is not None:
         found = moved_along(person.matched.found, landmarks, roll_deg)
     elif landmarks is None:
         found = match(index, silhouette, n, roll_deg=roll_deg)

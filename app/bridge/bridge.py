@@ -178,11 +178,15 @@ class Bridge:
         self._outbox.put(message)
 
     def _message(self, event: Mapping[str, Any]) -> Message:
-        """An event with the camera, the time of day, and an id that is always the same."""
-        camera_id = self._camera.camera_id
+        """An event with the camera, the time of day, and where its replay is.
+
+        Its id is that of the service, which has no replay of what the service did not report.
+        """
         moment = datetime.fromtimestamp(event["timestamp"], UTC).isoformat(timespec="milliseconds")
-        event_id = uuid.uuid5(uuid.NAMESPACE_OID, json.dumps([camera_id, event], sort_keys=True))
-        return {"id": str(event_id), "camera_id": camera_id, "time": moment, **event}
+        is_of_person = event["track_id"] is not None and "id" in event
+        replay = self._camera.replay_url(event["id"]) if is_of_person else None
+        known = {"camera_id": self._camera.camera_id, "time": moment, "replay": replay}
+        return {"id": str(uuid.uuid4()), **known, **event}
 
     def _read_settings(self) -> None:
         try:

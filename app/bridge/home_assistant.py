@@ -4,7 +4,7 @@ Topics below ``silhouette-pose/CAMERA_ID/``: ``events`` has each event as JSON. 
 retained: ``available`` (online, or offline from :data:`BLIND_AFTER_S` without an answered frame),
 ``people`` (a number), ``posture``, ``zones/ZONE`` and ``obstructed`` (ON or OFF), which are None
 while offline, ``fell`` (the event as JSON, but with the ``state`` ON for :data:`FELL_SHOWN_S`, then
-OFF) and ``last_fall`` (its time), which stays.
+OFF), ``last_fall`` (its time) and ``replay`` (what was seen of it, an animated WebP), which stay.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 
 from app import VERSION
-from app.bridge import Trouble, UnavailableError, say
+from app.bridge import RefusedError, Trouble, UnavailableError, say
 from app.bridge.outbox import Message
 from app.configuration import EVENT_NAMES
 
@@ -32,8 +32,8 @@ BLIND_AFTER_S = 15.0
 FELL_SHOWN_S = 60
 DISCOVERY_PREFIX = "homeassistant"
 _UNKNOWN = "None"  # As Home Assistant's sensors have it.
-_LASTING = ("lying", "arms_raised", "obstructed")
-EVENT_TYPES = [*EVENT_NAMES, *(f"{name}_ended" for name in _LASTING)]
+_WITH_AN_END = ("lying", "arms_raised", "obstructed")
+EVENT_TYPES = [*EVENT_NAMES, *(f"{name}_ended" for name in _WITH_AN_END)]
 POSTURES = [
     *("nobody", "unclear", "standing", "walking", "running", "arms_raised", "bending", "kneeling"),
     *("crouching", "sitting", "crawling", "lying"),
@@ -48,6 +48,8 @@ _KEEPALIVE_S = 10
 _ANSWERS_WITHIN_S = 5.0
 _RETRY_AFTER_S = 10.0
 _SILENT_S = 1.0
+# A replay is fetched at once, and again when it is complete.
+_REPLAYED_AFTER_S = (0.0, 4.0)
 
 
 def slug(name: str) -> str:
@@ -66,14 +68,20 @@ class HomeAssistant:
     """A connection to a broker that reconnects by itself.
 
     One thread calls :meth:`keep` and :meth:`send`; any may call :meth:`show`. The address is
-    ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS.
+    ``mqtt://[user:password@]host[:port]``, or ``mqtts://`` for TLS. ``replay`` returns what was
+    seen of an event by its id.
     """
 
     def __init__(
-        self, address: SplitResult, camera_id: str, name: str | None = None, link: str | None = None
+        self,
+        address: SplitResult,
+        camera_id: str,
+        name: str | None = None,
+        link: str | None = None,
+        replay: Callable[[str], bytes] | None = None,
     ) -> None:
         self._device = f"silhouette_pose_{slug(camera_id)}"
-        self._maker = {
+        self._info = {
             "identifiers": [self._device],
             "name": name or f"Silhouette pose {camera_id}",
             "manufacturer": "silhouette-pose",
@@ -84,14 +92,17 @@ class HomeAssistant:
         self._base = f"silhouette-pose/{camera_id}"
         self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
         self._last_fall, self._events = f"{self._base}/last_fall", f"{self._base}/events"
-        self._lasting = (self._fell, self._last_fall, self._events)
+        self._image = f"{self._base}/replay"
+        self._kept = (self._fell, self._last_fall, self._image, self._events)
+        self._replay, self._replays_at = replay, list[float]()
         self._fell_until = self._seen_at = 0.0
         self._fall_shown = ""  # Its id.
         self._is_closed = self._is_withdrawn = False
         self._connected_at = math.inf
         # Retained messages by topic: those that there should be, and those that the broker has.
-        self._state = {self._available: "offline", self._fell: json.dumps({"state": "OFF"})}
-        self._published: dict[str, str] = {}
+        self._state: dict[str, str | bytes] = {self._available: "offline"}
+        self._state[self._fell] = json.dumps({"state": "OFF"})
+        self._published: dict[str, str | bytes] = {}
         self._retry_at: dict[str, float] = {}
         # Topics of states by those of announcements, also of an earlier start.
         self._entities: dict[str, str] = {}
@@ -106,10 +117,12 @@ class HomeAssistant:
         self._announce("binary_sensor", f"{base}/obstructed", "Obstructed", **problem)
         self._announce("sensor", f"{base}/people", "People", state_class="measurement")
         self._announce("sensor", f"{base}/posture", "Posture", **enum)
-        # These two stay as they are while the camera is offline.
+        # These stay as they are while the camera is offline.
         always = {"availability_topic": None}
         moment = {"device_class": "timestamp", **always}
         self._announce("sensor", self._last_fall, "Last fall", **moment)
+        picture = {"image_topic": self._image, "content_type": "image/webp", **always}
+        self._announce("image", self._image, "Last fall", **picture)
         events: dict[str, Any] = {"event_types": EVENT_TYPES, "value_template": _EVENT, **always}
         self._announce("event", self._events, "Events", **events)
         # By its name, the broker knows that an earlier connection of this camera is dead.
@@ -136,6 +149,7 @@ class HomeAssistant:
         if message["event"] == "fell" and message["id"] != self._fall_shown:
             self._fell_until = time.monotonic() + FELL_SHOWN_S
             self._fall_shown = message["id"]
+            self._replays_at = [time.monotonic() + after_s for after_s in _REPLAYED_AFTER_S]
             with self._changed:
                 self._state[self._fell] = json.dumps({**message, "state": "ON"})
                 self._state[self._last_fall] = message["time"]
@@ -196,6 +210,7 @@ class HomeAssistant:
                 self._trouble.report(f"mqtt: the broker {self._outage}")
             return
         self._trouble.end()
+        self._fetch_replay(now)
         for topic in [topic for topic in self.news() if now >= self._retry_at.get(topic, 0.0)]:
             try:
                 self._retain(topic)
@@ -204,12 +219,25 @@ class HomeAssistant:
                     say(f"mqtt: {error}")
                 self._retry_at[topic] = now + _RETRY_AFTER_S
 
+    def _fetch_replay(self, now: float) -> None:
+        """Fetch the replay of the last fall when it is due; the next time will do if that fails."""
+        if self._replay is None or not self._replays_at or now < self._replays_at[0]:
+            return
+        del self._replays_at[0]
+        try:
+            content = self._replay(self._fall_shown)
+        except (RefusedError, UnavailableError) as error:
+            say(f"no replay of the fall: {error}")
+            return
+        with self._changed:
+            self._state[self._image] = content
+
     def hide(self) -> None:
         """Show that the camera is offline; what it sees becomes unknown."""
         with self._changed:
             self._state[self._available] = "offline"
             for topic in self._entities.values():
-                if topic not in self._lasting and self._state.get(topic):
+                if topic not in self._kept and self._state.get(topic):
                     self._state[topic] = _UNKNOWN
 
     def withdraw(self) -> None:
@@ -251,7 +279,7 @@ class HomeAssistant:
             self._published[topic] = payload
         self._retry_at.pop(topic, None)
 
-    def _publish(self, topic: str, payload: str, **options: Any) -> None:
+    def _publish(self, topic: str, payload: str | bytes, **options: Any) -> None:
         """Publish, and wait for the broker's answer.
 
         It waits through reconnections, after which the client sends again what has no answer.
@@ -274,7 +302,7 @@ class HomeAssistant:
             "unique_id": f"{self._device}_{entity}",
             "state_topic": topic,
             "availability_topic": self._available,
-            "device": self._maker,
+            "device": self._info,
             "origin": {"name": "silhouette-pose-watch", "sw_version": VERSION},
             **fields,
         }

@@ -43,7 +43,8 @@ class Watch:
         if settings.mqtt:
             host = settings.url.netloc.rpartition("@")[2]
             link = settings.url._replace(netloc=host).geturl()
-            self.home = HomeAssistant(settings.mqtt, self._name, self._camera.name, link)
+            replay = self._client().replay
+            self.home = HomeAssistant(settings.mqtt, self._name, self._camera.name, link, replay)
             receivers["mqtt"] = [self.home.send, self.home.keep]
         self._keeps = settings.queue, set(receivers)
         if before is not None and before._keeps == self._keeps:
@@ -69,10 +70,13 @@ class Watch:
         thread.start()
         return thread
 
+    def _client(self) -> Camera:
+        """A connection to the service, for one thread."""
+        key = self.settings.api_key.get_secret_value() if self.settings.api_key else None
+        return Camera(self.settings.url, self._name, key, self.configuration)
+
     def _watch(self, is_only: bool) -> None:
-        settings, camera = self.settings, self._camera
-        key = settings.api_key.get_secret_value() if settings.api_key else None
-        client = Camera(settings.url, self._name, key, self.configuration)
+        camera, client = self._camera, self._client()
         bridge = Bridge(client, self.outbox, self.home, ends_if_refused=is_only)
         source = Source(camera.source, camera.fps)
         while not self.stopping.is_set():

@@ -107,6 +107,7 @@ class Camera:
     ) -> None:
         self.camera_id, self._configuration = camera_id, configuration
         self._connection = Connection(address, _FRAME_TIMEOUT_S, _MAX_REPLY_BYTES)
+        self._origin = f"{address.scheme}://{address.netloc.rpartition('@')[2]}"
         self._path = f"{address.path.rstrip('/')}/cameras/{camera_id}"
         self._headers = {"X-API-Key": api_key} if api_key else {}
 
@@ -136,6 +137,15 @@ class Camera:
                 raise
             return []
         return events
+
+    def replay_url(self, event_id: str) -> str:
+        """Where others find the replay of an event; without the password of the service."""
+        return f"{self._origin}{self._path}/events/{event_id}/replay"
+
+    def replay(self, event_id: str) -> bytes:
+        """Return what was seen of an event so far, as an animated WebP."""
+        path = f"{self._path}/events/{event_id}/replay"
+        return self._connection.request("GET", path, None, self._headers)[1]
 
     def _send(
         self, method: str, path: str, expected: str, body: bytes | None = None

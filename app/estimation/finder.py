@@ -76,6 +76,10 @@ class _Body:
     def box(self) -> Box:
         return self.target.box_of(self.reading)
 
+    @property
+    def place(self) -> Box:
+        return self.target.found.box if self.reading is None else self.reading.landmarks.box()
+
 
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 
@@ -351,7 +355,7 @@ def _moved(body: _Body, bodies: Sequence[_Body], frame_shape: tuple[int, ...]) -
     drawn, reading = body.target.drawn, body.reading
     if drawn is None or reading is None or not reading.trust.is_right:
         return None
-    if any(body.box.intersection(other.box) for other in bodies if other is not body):
+    if any(body.place.intersection(other.place) for other in bodies if other is not body):
         return None
     return drawn.on_landmarks(reading, frame_shape)
 

@@ -1,156 +1,109 @@
-"""What a frame shows of a tracked person's body: scale, elevation, heading, and a skeleton.
-
-Landmarks show one body directly, so postures and actions need no search of the index. Without
-landmarks, the hypotheses of the silhouette are likely bodies.
-"""
+"""A tracked person's body over time: smooth pose, facing, posture and action."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Person
-from app.networks.dense import shipped_network
-from app.vision.blazepose import LANDMARK_PX
-from app.vision.people import LANDMARK_NAMES, Landmarks
-from index.posture import azimuth_deg
-from index.skeleton import (
-    FACE_NAMES,
-    LIMB_HIPS,
-    LIMBS,
-    POINT_NAMES,
-    POINTS,
-    SIDES,
-    pixels_per_metre,
-    rows,
-    side_rows,
+from app.estimation.posture import EstimatedPosture, PostureFilter
+from app.estimation.results import Facing, FacingSource, Person
+from app.tracking.actions import ActionRecogniser, PoseSample
+from app.tracking.motion import Motion, MotionFilter, posture_in_motion
+from app.tracking.results import RecognisedAction, SmoothedPose
+from app.tracking.seen_body import SeenBody
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
+from index.posture import (
+    POSTURES,
+    SILHOUETTE_GROUPS,
+    PostureName,
+    camera_up,
+    classify_postures,
+    vote_posture,
 )
 
-MAX_BODIES = 12
-"""Hypotheses that count as likely bodies; 30 are no better."""
 
-# Weights of the log of a hypothesis's confidence and, for a person with landmarks, of the log of
-# its distance by silhouette and landmarks: the confidences of all hypotheses that agree with these
-# are near 1.
-_CONFIDENCE_WEIGHT, _LANDMARK_WEIGHT = 1.5, 40.0
-# Height from which landmarks have their full weight: the side of the network's window. Landmarks of
-# smaller people jitter, so motion counts more.
-_FULL_WEIGHT_PX = LANDMARK_PX
+class Body:
+    """The body of one tracked person; with landmarks, all but the pose follows from these."""
 
+    def __init__(self) -> None:
+        self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
+        self._recogniser, self._posture_filter = ActionRecogniser(), PostureFilter()
+        self._seen_at = -math.inf
+        """Time of the last frame that showed the body."""
+        self._facing: Facing | None = None
+        self._posture: EstimatedPosture | None = None
+        self.action: RecognisedAction | None = None
 
-@dataclass(frozen=True)
-class SeenBody:
-    """What one frame shows of a body: N candidate skeletons, one of them right."""
+    def update(
+        self, person: Person, timestamp: float
+    ) -> tuple[SmoothedPose | None, NDArray[np.float64] | None]:
+        """Add a frame; return the pose, and the shares ``(10,)`` of postures of this frame.
 
-    azimuths_deg: NDArray[np.float64]  # (N,): azimuths of the camera about them
-    # (N,): up to a constant, for frames a tenth of a second apart.
-    log_likelihoods: NDArray[np.float64]
-    clarity: float  # how clearly landmarks show the body, 0 to 1; 0 if none were read
-    px_per_m: float  # scale at the person's distance
-    elevation_deg: float  # elevation of the camera above the person
-    hips_px: NDArray[np.float64]  # (2,): middle of the hips, pixels of the frame
-    # (24, 3): the landmarks' skeleton, metres about the hips, axes of the line of sight to them;
-    # None without landmarks.
-    skeleton: NDArray[np.float64] | None
-
-    @classmethod
-    def of(cls, person: Person) -> SeenBody | None:
-        """What the frame shows of a person; None without landmarks and hypotheses."""
-        if person.landmarks is not None and person.silhouette is not None:
-            return cls._by_landmarks(person, person.landmarks)
-        return cls._by_hypotheses(person) if person.hypotheses else None
-
-    @classmethod
-    def _by_landmarks(cls, person: Person, landmarks: Landmarks) -> SeenBody:
-        skeleton, places = _points_of(landmarks.metres), _points_of(landmarks.positions)
-        # Hidden points are guesses, in the picture and in space alike.
-        scale = pixels_per_metre(skeleton[None], places[None])[0]
-        return cls(
-            azimuth_deg(skeleton[None]),
-            np.zeros(1),
-            clarity_of(person),
-            max(float(scale), 1e-6),
-            elevation_deg(landmarks.metres),
-            places[_HIPS].mean(axis=0),
-            skeleton,
+        If it shows no body, there are no shares, and the last pose moves along.
+        """
+        body = SeenBody.of(person)
+        if body is None:
+            return self._smoother.extrapolate(person, timestamp), None
+        self._seen_at = timestamp
+        motion = self._motion_filter.update(timestamp, person.whole_box, body)
+        smoothed = self._smoother.update(person, timestamp, motion)
+        evidence: FacingSource = "none" if body.skeleton is None else "image"
+        self._facing = Facing(
+            motion.heading.front_probability, "motion" if motion.walks else evidence
         )
-
-    @classmethod
-    def _by_hypotheses(cls, person: Person) -> SeenBody:
-        hypotheses = person.voters[:MAX_BODIES]
-        points_3d = np.array([one.points_3d for one in hypotheses])
-        points_2d = np.array([one.points_2d for one in hypotheses])
-        weights = np.array([one.confidence for one in hypotheses]) + 1e-6
-        weights /= weights.sum()
-        elevations = np.array([one.label.elevation_deg for one in hypotheses])
-        return cls(
-            azimuth_deg(points_3d),
-            log_likelihoods(person)[:MAX_BODIES],
-            clarity_of(person),
-            float(weights @ pixels_per_metre(points_3d, points_2d, POINTS)),
-            float(weights @ elevations),
-            hypotheses[0].points_2d[_HIPS].mean(axis=0),
-            None,
+        votes, sample = _votes_and_sample(person, body, motion, smoothed, timestamp)
+        self._posture, shares = self._posture_filter.update(
+            timestamp,
+            votes,
+            person.frame_posture,
+            1.0 if person.presence is None else person.presence,
+            person.whole_box,
+            posture_weight(person),
         )
+        posture = self._posture if person.landmarks is not None else None
+        self.action = self._recogniser.update(sample, person, posture)
+        return smoothed.pose if smoothed else None, shares
+
+    @property
+    def posture(self) -> PostureName | None:
+        """The posture, None while it is unclear."""
+        label = self._posture.label if self._posture else None
+        return None if label == "unclear" else label
+
+    def known(self, timestamp: float) -> dict[str, Facing | EstimatedPosture | None]:
+        """Facing and posture, unless the body has not been seen for too long."""
+        if timestamp - self._seen_at > EXTRAPOLATED_S:
+            return {}
+        return {"facing": self._facing, "posture": self._posture}
 
 
-def log_likelihoods(person: Person) -> NDArray[np.float64]:
-    """Log likelihoods ``(N,)`` of a person's hypotheses, see :class:`SeenBody`."""
-    hypotheses = person.voters
-    result = _CONFIDENCE_WEIGHT * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
-    distances = np.array([one.distance for one in hypotheses]) + 1e-9
-    weight = clarity_of(person) * _LANDMARK_WEIGHT
-    return np.asarray(result - weight * np.log(distances / distances.min()))
+def _votes_and_sample(
+    person: Person, body: SeenBody, motion: Motion, smoothed: Smoothed | None, timestamp: float
+) -> tuple[NDArray[np.float64], PoseSample]:
+    """The votes ``(10,)`` for postures, and the skeleton from which actions are recognised."""
+    elevation_deg = motion.elevation_deg
+    if body.skeleton is not None:
+        up = camera_up(elevation_deg)
+        posture = POSTURES[int(classify_postures(body.skeleton[None], up)[0])]
+        votes = vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
+        return votes, PoseSample(
+            timestamp, body.skeleton, body.hips_px, body.px_per_m, elevation_deg
+        )
+    assert smoothed is not None  # Without landmarks, a body is seen by its hypotheses.
+    votes = smoothed.votes
+    if person.posture is not None and person.frame_posture is None:
+        votes = SILHOUETTE_GROUPS.split(SILHOUETTE_GROUPS.sums(person.posture.shares), votes)
+    return votes, PoseSample.of(timestamp, smoothed.pose, elevation_deg)
 
 
-def clarity_of(person: Person) -> float:
-    """How clearly landmarks show a body, see :class:`SeenBody`."""
-    if person.landmarks is None:
-        return 0.0
-    return min(1.0, person.whole_box.height / _FULL_WEIGHT_PX) ** 2
+def posture_weight(person: Person) -> float:
+    """Weight of a frame's posture: how likely the posture is right, given the landmarks.
 
-
-# Points of the trunk, as shares of the way from the middle of the hips to that of the shoulders in
-# the skeletons of the index. All other points of a skeleton have landmarks. The head is
-# between the ears.
-_TRUNK = {"pelvis": 0.03, "spine": 0.46, "chest": 0.72, "neck": 1.06}
-_SEEN = [*LIMBS, *FACE_NAMES, *(f"{side}_toe" for side in SIDES)]
-_POINT_ROWS = rows(*_SEEN)
-_LANDMARK_ROWS = rows(*(name.replace("toe", "foot_index") for name in _SEEN), among=LANDMARK_NAMES)
-_TRUNK_ROWS, _TRUNK_SHARES = rows(*_TRUNK), np.array([*_TRUNK.values()])[:, None]
-_HEAD = POINT_NAMES.index("head")
-_HIPS, _SHOULDERS, _EARS = (side_rows(part) for part in ("hip", "shoulder", "ear"))
-
-
-def _points_of(landmarks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The points of a skeleton ``(24, D)`` where landmarks ``(33, D)`` show them."""
-    points = np.empty((POINTS, landmarks.shape[1]))
-    points[_POINT_ROWS] = landmarks[_LANDMARK_ROWS]
-    hips, shoulders = points[_HIPS].mean(axis=0), points[_SHOULDERS].mean(axis=0)
-    points[_TRUNK_ROWS] = hips + _TRUNK_SHARES * (shoulders - hips)
-    points[_HEAD] = points[_EARS].mean(axis=0)
-    return points
-
-
-_LIMB_LANDMARKS = rows(*LIMBS, among=LANDMARK_NAMES)
-
-
-def elevation_deg(metres: NDArray[np.float64]) -> float:
-    """Elevation of the camera above a person with landmarks ``(33, 3)``, as an index has them."""
-    features = elevation_features(metres[None, _LIMB_LANDMARKS])
-    return float(shipped_network("elevation")(features)[0, 0])
-
-
-def elevation_features(limbs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inputs ``(N, 30)`` of the network of elevations, which mirroring does not change.
-
-    The middle of each pair of ``LIMBS`` ``(N, 12, 3)``, in axes of the line of sight, in height and
-    depth, and the distances between both sides.
+    On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where the probability that
+    landmarks are is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85, which its fourth root follows.
     """
-    limbs = limbs - limbs[:, LIMB_HIPS].mean(axis=1, keepdims=True)
-    limbs = limbs / np.linalg.norm(limbs, axis=2).mean(axis=1)[:, None, None]
-    left, right = limbs[:, 0::2], limbs[:, 1::2]
-    parts = ((left + right)[..., 1:] / 2, np.abs(left - right))
-    return np.concatenate([part.reshape(len(limbs), -1) for part in parts], axis=1)
+    presence = 1.0 if person.presence is None else person.presence
+    right = 1.0 if person.trust is None else person.trust.right
+    return 1 - presence * (1 - math.pow(right, 0.25))

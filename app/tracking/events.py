@@ -1,4 +1,4 @@
-"""Events of a tracked person: the person lies down, falls or raises both arms.
+"""What is watched for in a tracked person: postures, falls, zones, and the floor.
 
 Lying and raised arms follow from filtered postures, falls from a model
 (:mod:`app.tracking.falls`).
@@ -7,6 +7,8 @@ Lying and raised arms follow from filtered postures, falls from a model
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,16 +16,18 @@ from numpy.typing import NDArray
 
 from app.configuration import EventName
 from app.networks.probabilities import ENDS_BELOW, MAX_STEP_S, Hysteresis
-from app.tracking.falls import FallWatch, Observation
+from app.tracking.falls import FallWatch
+from app.tracking.floor import Rest
 from app.tracking.results import Event
-from index.posture import POSTURES
+from app.tracking.zones import Zone, ZoneWatch, is_rest
+from app.vision.geometry import Box
+from index.posture import POSTURES, PostureName
 
 
 class EventDetector:
     """Watches the postures of one track, and whether the person falls.
 
-    Its events have no ``track_id``, which the track sets. ``watched_from`` is that of
-    :class:`app.tracking.falls.FallWatch`.
+    ``watched_from`` is that of :class:`app.tracking.falls.FallWatch`.
     """
 
     def __init__(self, watched_from: float = math.inf) -> None:
@@ -40,7 +44,7 @@ class EventDetector:
         timestamp: float,
         shares: NDArray[np.float64],
         reliability: float,
-        observation: Observation,
+        observation: NDArray[np.float64],
         *,
         rests: bool = False,
     ) -> tuple[Event, ...]:
@@ -58,7 +62,7 @@ class EventDetector:
             share = 0.0 if rests and name == "lying" else float(shares[POSTURES.index(name)])
             if change := state.change(share, step):
                 events.append(Event(name, change, timestamp, state.level))
-        if self._falls.update(timestamp, observation.row(), rests=rests):
+        if self._falls.update(timestamp, observation, rests=rests):
             events.append(Event("fell", "instant", timestamp, self._falls.probability))
         return tuple(events)
 
@@ -81,3 +85,72 @@ class EventDetector:
             levels["fell"] = fell
         at = self._last_at or 0.0
         return tuple(Event(name, "unconfirmed", at, level) for name, level in levels.items())
+
+
+class Watches:
+    """Watches one track: its postures, falls and zones, and whether the person is on the floor.
+
+    Events have no identities, which the track adds. ``watched_from`` is that of
+    :class:`app.tracking.falls.FallWatch`.
+    """
+
+    def __init__(self, watched_from: float = math.inf) -> None:
+        self._events, self._zones = EventDetector(watched_from), ZoneWatch()
+        self.rest = Rest()
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """Names of the zones in which the person was last seen."""
+        return tuple(zone.name for zone in self._zones.zones)
+
+    @property
+    def has_fallen(self) -> bool:
+        """Whether the person fell and no frame showed them getting up."""
+        return self._events.has_fallen
+
+    def enter(self, timestamp: float, zones: Iterable[Zone], box: Box, score: float) -> Event:
+        """The event that a person with this box and probability has entered the picture."""
+        self._zones.locate(zones, box, None)
+        return self._here([Event("entered", "instant", timestamp, score)])[0]
+
+    def cross(
+        self, timestamp: float, zones: Sequence[Zone], box: Box, posture: PostureName | None
+    ) -> list[Event]:
+        """Add the person's place; the posture says which part of the body has to be in a zone."""
+        return self._zones.update(timestamp, zones, box, posture)
+
+    def update(
+        self,
+        timestamp: float,
+        shares: NDArray[np.float64],
+        reliability: float,
+        observation: NDArray[np.float64],
+    ) -> list[Event]:
+        """Add a frame that shows the body; see :meth:`EventDetector.update`."""
+        rests = is_rest(self._zones.zones)
+        events = self._events.update(timestamp, shares, reliability, observation, rests=rests)
+        return self._here(events)
+
+    def lost(self, timestamp: float) -> list[Event]:
+        """The fall of a person who is no longer visible, if the person was lost while falling."""
+        return self._here(self._events.lost(timestamp))
+
+    def leave(self, timestamp: float, seen_at: float, score: float) -> list[Event]:
+        """The events of a person, last seen at ``seen_at``, who has left their zones and all."""
+        crossings = self._zones.end(timestamp, seen_at)
+        return [*crossings, *self._here([Event("left", "instant", timestamp, score)])]
+
+    def unconfirmed(self) -> list[Event]:
+        """Events that had begun to show at the last frame but were not certain."""
+        return self._here(self._events.unconfirmed())
+
+    def _here(self, events: Iterable[Event]) -> list[Event]:
+        """Events with the person's zones; lying and falls also with the floor."""
+        return [
+            replace(
+                event,
+                zones=self.zones,
+                on_floor=self.rest.on_floor if event.event in ("lying", "fell") else None,
+            )
+            for event in events
+        ]

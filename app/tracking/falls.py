@@ -52,45 +52,50 @@ COLUMNS = 14 + _POSTURES
 _FAR = 3.0
 
 
-@dataclass(frozen=True)
-class Observation:
-    """What a frame shows of a tracked person.
+def observation(
+    box: Box,
+    frame_shape: tuple[int, ...],
+    posture: NDArray[np.float64],
+    right: float,
+    hips_y: float | None = None,
+    covered: float = 0.0,
+) -> NDArray[np.float64]:
+    """What a frame shows of a tracked person ``(17,)``; :func:`window_features` takes several.
 
-    The box is in pixels of the frame of ``frame_shape``; ``posture`` ``(6,)`` are probabilities of
-    :data:`app.vision.judgement.FRAME_POSTURES`, less than 1 in sum where the window may show no
-    person. ``right`` is the probability that the landmarks are, ``hips_y`` pixels downwards, None
-    where they are not seen, ``covered`` the share of the box that boxes of other people cover.
+    Parameters
+    ----------
+    box : Box
+        Pixels of the frame of ``frame_shape``.
+    posture : (6,) float64 array
+        Probabilities of :data:`app.vision.judgement.FRAME_POSTURES`; less than 1 in sum where
+        the window may show no person.
+    right : float
+        Probability that the landmarks are right.
+    hips_y : float or None
+        Pixels downwards; None where they are not seen.
+    covered : float
+        Share of the box that boxes of other people cover.
     """
+    hips = box.y + 0.55 * box.height if hips_y is None else hips_y
+    edges = (box.x, box.y, box.right, box.bottom, hips)
+    return np.array([*edges, *posture, right, covered, *gaps_to_border(box, frame_shape)])
 
-    box: Box
-    frame_shape: tuple[int, ...]
-    posture: NDArray[np.float64]
-    right: float
-    hips_y: float | None = None
-    covered: float = 0.0
 
-    @classmethod
-    def of(cls, person: Person, frame_shape: tuple[int, ...], covered: float = 0.0) -> Self:
-        """What a frame shows of a person whose landmarks and posture were read."""
-        if person.frame_posture is None or person.landmarks is None:
-            raise ValueError("expected a person with landmarks and the posture of the frame")
-        presence = 1.0 if person.presence is None else person.presence
-        return cls(
-            person.box,
-            frame_shape,
-            presence * np.asarray(person.frame_posture.probabilities),
-            1.0 if person.trust is None else person.trust.right,
-            float(person.landmarks.positions[_HIPS, 1].mean()),
-            covered,
-        )
-
-    def row(self) -> NDArray[np.float64]:
-        """The same as numbers ``(17,)``, of which :func:`window_features` takes several."""
-        box = self.box
-        hips = box.y + 0.55 * box.height if self.hips_y is None else self.hips_y
-        gaps = gaps_to_border(box, self.frame_shape)
-        edges = (box.x, box.y, box.right, box.bottom, hips)
-        return np.array([*edges, *self.posture, self.right, self.covered, *gaps])
+def observation_of(
+    person: Person, frame_shape: tuple[int, ...], covered: float = 0.0
+) -> NDArray[np.float64]:
+    """The :func:`observation` of a person whose landmarks and posture were read."""
+    if person.frame_posture is None or person.landmarks is None:
+        raise ValueError("expected a person with landmarks and the posture of the frame")
+    presence = 1.0 if person.presence is None else person.presence
+    return observation(
+        person.box,
+        frame_shape,
+        presence * np.asarray(person.frame_posture.probabilities),
+        1.0 if person.trust is None else person.trust.right,
+        float(person.landmarks.positions[_HIPS, 1].mean()),
+        covered,
+    )
 
 
 def window_features(
@@ -228,7 +233,7 @@ _UP_FROM, _UP_S = 0.5, 1.0
 # probability on average in the last second. Otherwise a parked car that is detected as a lying
 # person is reported as a fall in the end.
 _TRUSTED_S, _TRUSTED_FROM = 1.0, 0.1
-_RIGHT = 5 + _POSTURES  # Column of :meth:`Observation.row`.
+_RIGHT = 5 + _POSTURES  # Column of :func:`observation`.
 
 # Odds of the recent past's networks count by this factor, so that .4 becomes .5: of 48 falls of
 # ``../shared/real/scenes`` and ``scenes2`` 41 instead of 38 are reported, and no false one more
@@ -289,8 +294,8 @@ class FallWatch:
     def update(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
 
-        The row ``(17,)`` is that of an :class:`Observation`. A person who ``rests``, in a zone for
-        it, does not fall.
+        The row ``(17,)`` is an :func:`observation`. A person who ``rests``, in a zone for it, does
+        not fall.
         """
         self._add(timestamp, row)
         self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)

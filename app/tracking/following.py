@@ -94,7 +94,7 @@ class TrackedPeopleDetector:
             Maps the position of each person found in a track's window to that track.
         """
         self._draws_all = drawn
-        self._looked_at = {one: self._looked_at.get(one, one.seen_at) for one in tracks}
+        self._looked_at = {one: self._looked_at.get(one, one.place.seen_at) for one in tracks}
         found, beside, followed, unchanged = self._targets(upload, timestamp, tracks, job)
         targets = [*found, *(self._followed(*one, timestamp) for one in followed.items())]
         people, shown = self._finder.observe(
@@ -121,7 +121,7 @@ class TrackedPeopleDetector:
 
         For a small person who is new, all of the frame is decoded as well.
         """
-        windows = [track.next_window for track in tracks]
+        windows = [track.last.next_window for track in tracks]
         are_large = all(one is not None and HALF * one.side >= LANDMARK_PX for one in windows)
         return are_large and self._finder.search_scale(shape) <= HALF
 
@@ -146,7 +146,7 @@ class TrackedPeopleDetector:
         """
         frame, state = upload.frame, _Followed.at(timestamp, tracks, self._read_at)
         smallest = self._finder.smallest_px(frame.shape)
-        places = {one: (one.box_filter.predict(timestamp), one.box_filter.seen) for one in tracks}
+        places = {one: (one.place.predict(timestamp), one.place.seen) for one in tracks}
         still = self.scene.is_still(frame, smallest, timestamp, places) and state.all_in_windows
         expected, lost = state.expected, state.lost
         interval = self._interval(timestamp, state, is_still=still)
@@ -184,9 +184,9 @@ class TrackedPeopleDetector:
         A detection is read in the window of the track that expects a person there; a window is
         read once.
         """
-        places = {track: track.box_filter.predict(timestamp) for track in expected}
+        places = {track: track.place.predict(timestamp) for track in expected}
         known = [box for track, box in places.items() if track.track_id is not None]
-        lost_at = [track.box_filter.seen for track in lost if track not in places]
+        lost_at = [track.place.seen for track in lost if track not in places]
         people, beside = self._finder.search(frame, job, lost_at, known)
         self._searched_at, self._left_out = timestamp, job.left_out
         self.scene.restart()
@@ -214,13 +214,13 @@ class TrackedPeopleDetector:
         self, track: Track, window: PersonWindow | JudgedReading, timestamp: float
     ) -> Target:
         """The target of a track at its predicted box."""
-        place = Detection(track.box_filter.predict(timestamp), track.score)
+        place = Detection(track.place.predict(timestamp), track.confirmation.score)
         # That trust wavers is no reason to read other windows.
         least_trust = _LOST_TRUST if track.trusted else 0.0
         is_new = timestamp - track.drawn_at < DRAWN_EVERY_S
-        drawn = track.drawn if is_new and not self._draws_all else None
+        drawn = track.last.drawn if is_new and not self._draws_all else None
         if timestamp - self._looked_at[track] < LOOK_EVERY_S:
-            return Target(place, window, True, least_trust, track.seen_keypoints, drawn)
+            return Target(place, window, True, least_trust, track.last.seen_keypoints, drawn)
         self._looked_at[track] = timestamp
         return Target(place, window, True, least_trust, drawn=drawn)
 
@@ -236,7 +236,7 @@ class _Wanted(NamedTuple):
 
 def _unchanged(frame: Frame, timestamp: float, expected: Expected) -> dict[Track, Person]:
     """The tracked people in whose places nothing has changed, and no other person is expected."""
-    places = {track: track.box_filter.predict(timestamp) for track in expected}
+    places = {track: track.place.predict(timestamp) for track in expected}
     unchanged = {}
     for track, place in places.items():
         alone = not any(place.intersection(places[other]) for other in places if other != track)
@@ -257,10 +257,10 @@ class _Followed:
 
     @classmethod
     def at(cls, timestamp: float, tracks: Sequence[Track], read_at: float) -> _Followed:
-        recent = [track for track in tracks if timestamp - track.seen_at <= _WINDOW_LASTS_S]
-        expected = {one: one.next_window for one in recent if one.next_window}
+        recent = [track for track in tracks if timestamp - track.place.seen_at <= _WINDOW_LASTS_S]
+        expected = {one: one.last.next_window for one in recent if one.last.next_window}
         people = [track for track in tracks if track.track_id is not None]
-        lost = [track for track in people if track.seen_at < read_at]
+        lost = [track for track in people if track.place.seen_at < read_at]
         return cls(tracks, people, lost, recent, expected)
 
     @property
@@ -275,7 +275,7 @@ class _Followed:
         After a fall, a person who is no longer visible is assumed at the last place and causes no
         search before the next regular one.
         """
-        some = self.expected or not self.tracks or any(track.lies_at for track in self.tracks)
+        some = self.expected or not self.tracks or any(track.place.lies_at for track in self.tracks)
         return len(self.expected) == len(self.recent) and bool(some)
 
 
@@ -284,4 +284,4 @@ def _may_be_there(track: Track, frame_shape: tuple[int, ...]) -> bool:
 
     It cannot if the person has left the frame, or was hardly visible behind others.
     """
-    return not (track.beside or may_have_left(track.box_filter.seen, frame_shape))
+    return not (track.last.beside or may_have_left(track.place.seen, frame_shape))

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.probabilities import softmax
-from app.tracking.body import SeenBody
+from app.tracking.seen_body import SeenBody
 from app.vision.geometry import Box
 from index.posture import MIN_RUNNING_SPEED_M_S, MIN_WALKING_SPEED_M_S, PostureName
 from index.skeleton import wrap_degrees

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Person, ProjectedHypothesis
 from app.networks.probabilities import log_odds, probability_of, softmax
-from app.tracking.body import MAX_BODIES, clarity_of, log_likelihoods
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
+from app.tracking.seen_body import MAX_BODIES, clarity_of, log_likelihoods
 from app.vision.people import Silhouette
 from index.posture import UPRIGHT, azimuth_deg, vote_posture
 from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths

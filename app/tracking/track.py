@@ -10,54 +10,54 @@ import lap
 import numpy as np
 from numpy.typing import NDArray
 
-from app.configuration import EventName
-from app.estimation.posture import (
-    LANDMARK_GROUPS,
-    EstimatedPosture,
-    PostureFilter,
-)
-from app.estimation.results import Facing, FacingSource, Person
+from app.estimation.posture import LANDMARK_GROUPS
+from app.estimation.results import Person
 from app.networks.probabilities import log_odds, probability_of
-from app.scene import Patch
-from app.tracking.actions import ActionRecogniser, PoseSample
-from app.tracking.body import SeenBody
-from app.tracking.events import EventDetector
-from app.tracking.falls import Observation
-from app.tracking.floor import Floor, Rest
-from app.tracking.last_estimate import LastEstimate
-from app.tracking.motion import Motion, MotionFilter, posture_in_motion
-from app.tracking.results import Event, RecognisedAction, SmoothedPose, TrackedPerson
-from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
-from app.tracking.zones import Zone, ZoneWatch, is_rest
-from app.vision.geometry import Box, PersonWindow
+from app.tracking.body import Body, posture_weight
+from app.tracking.events import Watches
+from app.tracking.falls import observation, observation_of
+from app.tracking.floor import Floor
+from app.tracking.place import LastEstimate, Place
+from app.tracking.results import Event, SmoothedPose, TrackedPerson
+from app.tracking.zones import Zone
 from app.vision.halved import Frame
 from app.vision.same_person import KnownPerson, same_probabilities
-from index.posture import (
-    POSTURES,
-    SILHOUETTE_GROUPS,
-    PostureName,
-    camera_up,
-    classify_postures,
-    vote_posture,
-)
 
-# With landmarks: the probability of a person from which a track counts as one.
-_MIN_PROBABILITY = 0.9
-# Time over which windows are averaged: a person may sit down on a chair that was tracked as one.
-_WINDOW_MEAN_S = 3.0
-# Without landmarks: the detector's score that is enough at once, and the number of sightings that
-# is always enough.
-_CONFIRMING_SCORE, _CONFIRMING_SIGHTINGS = 0.6, 3
-# Exponent of the probability that landmarks are right, in the weight of a frame's posture. On
-# held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where that probability is
-# 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85.
-_RELIABILITY_EXPONENT = 0.25
-# Time in which a person lost while falling comes to rest.
-_COMES_TO_REST_S = 2.0
-# Time without a change after which the picture of a person may show a statue or a poster.
-_STILL_FROM_S = 600.0
-# Share of the difference that corrects the known colours.
-_COLOUR_GAIN = 0.1
+
+class Confirmation:
+    """Whether a track is a person.
+
+    Without landmarks, the detector's score or the number of sightings decides. With them, the
+    detector's highest score is the prior, and the mean of the windows' odds counts as a single
+    observation, because furniture that looks like a person does so in every frame.
+    """
+
+    def __init__(self) -> None:
+        self.score = 0.0
+        """Highest probability of a person given by the detector; 1 if the caller marked them."""
+        self.sightings = self._windows = 0
+        self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
+
+    @property
+    def holds(self) -> bool:
+        """Whether the track counts as a person."""
+        if self._shown_odds is not None:
+            return probability_of(log_odds(self.score) + self._shown_odds) >= 0.9
+        # Enough at once, and always enough.
+        return self.score >= 0.6 or self.sightings >= 3
+
+    def see(self, person: Person, elapsed: float) -> None:
+        """Add a sighting, so many seconds after the one before."""
+        self.sightings += 1
+        if person.source not in ("background", "track"):
+            score = 1.0 if person.detection_score is None else person.detection_score
+            self.score = max(self.score, score)
+        if person.source == "detector" and person.trust is not None:
+            self._windows += 1
+            # Averaged over 3 s: a person may sit down on a chair that was tracked as one.
+            gain = 1 - math.exp(-elapsed / 3.0)
+            odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
+            self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
 
 
 class Track:
@@ -73,94 +73,48 @@ class Track:
         """None until the track is confirmed."""
         self.caller_id: str | None = None
         """The identity that the caller gave the person's box."""
-        self.box_filter = BoxFilter(person.box, timestamp)
         self.age_frames = 0
-        self.sightings = self._windows = 0
-        self._shown_odds: float | None = None  # Mean log odds that the windows show a person.
-        self.score = 0.0
-        """Highest probability of a person given by the detector; 1 if the caller marked them."""
-        self.seen_at = timestamp
-        """Time of the last sighting, seconds."""
-        self.lies_at: Box | None = None
-        """Where the person lies after a fall, once no longer visible; otherwise None."""
-        self.hidden = False
-        """Whether another person was at the expected place since the last sighting."""
-        self._patch, self._rests_from = person.patch, -math.inf
-        self._still, self._still_from = person.patch, timestamp
-        self.last_estimate = LastEstimate(timestamp)
-        self.next_window: PersonWindow | None = person.next_window
-        """Window in which the next frame is read."""
-        self.trusted = False
-        """Whether the last reading was trusted."""
-        self.seen_keypoints = person.seen_keypoints
-        """MoveNet's keypoints of the last look, relative to the landmarks."""
-        self.drawn = person.drawn
-        """The silhouette as drawn last."""
+        self.confirmation = Confirmation()
+        self.place = Place(person, timestamp)
+        self.last = person
+        """The last sighting."""
         self.drawn_at = timestamp
-        self.beside = person.beside
-        """Whether others hid the person, so that the next window hardly shows them."""
+        """When the silhouette was last drawn, not moved along, seconds."""
         self.colours = person.colours
-        self._motion_filter, self._smoother = MotionFilter(), PoseSmoother()
-        self._recogniser = ActionRecogniser()
-        self._event_detector = EventDetector(watched_from)
-        self._zone_watch, self._rest = ZoneWatch(), Rest()
-        self._posture_filter = PostureFilter()
-        self._body_at = -math.inf
-        """Time of the last frame that showed the body."""
-        self._facing: Facing | None = None
-        self._posture: EstimatedPosture | None = None
-        self._action: RecognisedAction | None = None
+        self.last_estimate = LastEstimate(timestamp)
+        self._body, self._watches = Body(), Watches(watched_from)
 
     @property
-    def is_confirmed(self) -> bool:
-        if self._shown_odds is not None:
-            return self._probability(self._shown_odds) >= _MIN_PROBABILITY
-        return self.score >= _CONFIRMING_SCORE or self.sightings >= _CONFIRMING_SIGHTINGS
-
-    def _probability(self, shown_odds: float) -> float:
-        """Probability that the track is a person, by Bayes' rule.
-
-        The detector's highest score is the prior. The mean of the windows' odds counts as a single
-        observation, because furniture that looks like a person does so in every frame.
-        """
-        return probability_of(log_odds(self.score) + shown_odds)
+    def trusted(self) -> bool:
+        """Whether the last reading was trusted."""
+        return self.last.trust is not None and self.last.trust.is_right
 
     def see(self, person: Person, timestamp: float) -> None:
         """Add the person's place and appearance in this frame."""
         truncated = person.silhouette is not None and person.silhouette.truncated
-        if self.sightings:
-            self.box_filter.update(person.box, timestamp, whole=not truncated)
-        self.sightings += 1
-        elapsed, self.seen_at = timestamp - self.seen_at, timestamp
-        if person.source not in ("background", "track"):
-            score = 1.0 if person.detection_score is None else person.detection_score
-            self.score = max(self.score, score)
-        if person.source == "detector" and person.trust is not None:
-            self._windows += 1
-            gain = 1 - math.exp(-elapsed / _WINDOW_MEAN_S)
-            odds, mean = log_odds(person.trust.person), self._shown_odds or 0.0
-            self._shown_odds = mean + max(1 / self._windows, gain) * (odds - mean)
-        self.next_window, self.beside = person.next_window, person.beside
-        self.trusted = person.trust is not None and person.trust.is_right
-        self.seen_keypoints, self.drawn = person.seen_keypoints, person.drawn
+        if self.confirmation.sightings:
+            self.place.update(person.box, timestamp, whole=not truncated)
+        self.confirmation.see(person, timestamp - self.place.seen_at)
+        self.place.see(person, timestamp)
+        self.last = person
         if not person.moved_along:
             self.drawn_at = timestamp
-        self._patch, self.lies_at, self.hidden = person.patch, None, False
         if self.colours is None:
             self.colours = person.colours
         # A partly hidden person would take on the colours of the person in front.
         elif person.colours is not None and not truncated:
-            self.colours = self.colours + _COLOUR_GAIN * (person.colours - self.colours)
+            self.colours = self.colours + 0.1 * (person.colours - self.colours)
 
     def known(self, timestamp: float) -> KnownPerson:
         """The person as expected in a frame, for comparison with the people found there."""
-        boxes = self.box_filter.predict(timestamp), self.box_filter.seen
-        return KnownPerson(*boxes, timestamp - self.seen_at, self.colours)
+        boxes = self.place.predict(timestamp), self.place.seen
+        return KnownPerson(*boxes, timestamp - self.place.seen_at, self.colours)
 
     def confirm(self, track_id: int, timestamp: float, zones: Sequence[Zone]) -> Event:
+        """Give the track an identity; return the event ``entered``."""
         self.track_id = track_id
-        self._zone_watch.locate(zones, self.box_filter.seen, None)
-        return self._moment("entered", timestamp)
+        entered = self._watches.enter(timestamp, zones, self.place.seen, self.confirmation.score)
+        return self._named([entered])[0]
 
     def update(
         self,
@@ -180,82 +134,32 @@ class Track:
         from the person. The events of the frame are returned as well.
         """
         self.last_estimate.update(person, timestamp)
-        self._compare(person, frame, covered, timestamp)
-        body, shares, smoothed = SeenBody.of(person), None, None
-        if body is not None:
-            motion = self._motion_filter.update(timestamp, person.whole_box, body)
-            smoothed = self._smoother.update(person, timestamp, motion)
-            shares = self._add_body(person, body, motion, smoothed, timestamp)
-            if floor is not None and self.track_id is not None:
-                floor.see(self.track_id, person, frame.shape)
-                self._rest.update(timestamp, person, self.track_id, floor)
+        self.place.compare(person, frame, covered, timestamp)
+        pose, shares = self._body.update(person, timestamp)
+        if shares is not None and floor is not None and self.track_id is not None:
+            floor.see(self.track_id, person, frame.shape)
+            self._watches.rest.update(timestamp, person, self.track_id, floor)
         crossings: list[Event] = []
-        if self.seen_at == timestamp:
-            # The posture says which part of the body has to be in a zone.
-            crossings = self._zone_watch.update(
-                timestamp, zones, self.box_filter.seen, self._known_posture()
-            )
-        if body is None or shares is None:
-            pose = self._smoother.extrapolate(person, timestamp)
-            return self._tracked(person, pose, timestamp), self._crossed(crossings)
-        pose = smoothed.pose if smoothed else None
-        confidence = pose.confidence if pose else 0.0
-        events = self._event_detector.update(
-            timestamp,
-            shares,
-            _reliability(person, confidence),
-            _observation(person, shares, confidence, frame.shape, covered),
-            rests=is_rest(self._zone_watch.zones),
-        )
-        tracked = self._tracked(person, pose, timestamp)
-        return tracked, [*map(self._annotated, events), *self._crossed(crossings)]
-
-    def _compare(self, person: Person, frame: Frame, covered: float, timestamp: float) -> None:
-        """Keep the first picture since the person last changed; people in front do not count."""
-        if person.patch is None or covered > 0:
-            return
-        if self._still is None or not self._still.is_shown_by(frame):
-            self._still, self._still_from = person.patch, timestamp
-
-    def _add_body(
-        self,
-        person: Person,
-        body: SeenBody,
-        motion: Motion,
-        smoothed: Smoothed | None,
-        timestamp: float,
-    ) -> NDArray[np.float64]:
-        """Update facing, posture and action; return the shares of postures of this frame."""
-        self._body_at = timestamp
-        evidence: FacingSource = "none" if body.skeleton is None else "image"
-        self._facing = Facing(
-            motion.heading.front_probability, "motion" if motion.walks else evidence
-        )
-        if body.skeleton is not None:
-            votes = _vote_of(body.skeleton, motion)
-            sample = PoseSample(
-                timestamp, body.skeleton, body.hips_px, body.px_per_m, motion.elevation_deg
-            )
-        elif smoothed is not None:
-            votes = smoothed.votes
-            if person.posture is not None and person.frame_posture is None:
-                sums = SILHOUETTE_GROUPS.sums(person.posture.shares)
-                votes = SILHOUETTE_GROUPS.split(sums, votes)
-            sample = PoseSample.of(timestamp, smoothed.pose, motion.elevation_deg)
-        self._posture, shares = self._posture_filter.update(
-            timestamp,
-            votes,
-            person.frame_posture,
-            1.0 if person.presence is None else person.presence,
-            person.whole_box,
-            _weight(person),
-        )
-        posture = self._posture if person.landmarks is not None else None
-        self._action = self._recogniser.update(sample, person, posture)
-        return shares
+        if self.place.seen_at == timestamp:
+            box, posture = self.place.seen, self._body.posture
+            crossings = self._scored(self._watches.cross(timestamp, zones, box, posture))
+        events: list[Event] = []
+        if shares is not None:
+            confidence = pose.confidence if pose else 0.0
+            # The posture of the landmarks or, without any, that of the hypotheses.
+            if person.frame_posture is None or person.landmarks is None:
+                postures = LANDMARK_GROUPS.sums(shares)
+                seen = observation(person.box, frame.shape, postures, confidence, covered=covered)
+            else:
+                seen = observation_of(person, frame.shape, covered)
+            certain = person.presence and posture_weight(person) * person.presence
+            reliability = confidence if certain is None else certain
+            events = self._watches.update(timestamp, shares, reliability, seen)
+        return self._tracked(person, pose, timestamp), self._named([*events, *crossings])
 
     def unconfirmed(self) -> list[Event]:
-        return [*map(self._annotated, self._event_detector.unconfirmed())]
+        """Events that had begun to show at the last frame but were not certain."""
+        return self._named(self._watches.unconfirmed())
 
     def lose(
         self, frame: Frame, timestamp: float, *, alone: bool = True
@@ -269,15 +173,11 @@ class Track:
         if self.track_id is None:
             return [], False
         events: list[Event] = []
-        if alone and not self.hidden:
-            events += map(self._annotated, self._event_detector.lost(timestamp))
-        if events:
-            self._rests_from = timestamp + _COMES_TO_REST_S
-        if timestamp <= self._rests_from:
-            self._patch = Patch.of(frame, self.box_filter.seen)
-        stays = self._patch is not None and self._patch.is_shown_by(frame)
-        if self._event_detector.has_fallen and stays:
-            self.lies_at = self.box_filter.seen
+        if alone and not self.place.hidden:
+            events = self._named(self._watches.lost(timestamp))
+        stays = self.place.looks_the_same(frame, timestamp, falls=bool(events))
+        if self._watches.has_fallen and stays:
+            self.place.lies_at = self.place.seen
             return events, True
         return events + self.end(timestamp), False
 
@@ -285,94 +185,35 @@ class Track:
         """End the track; return ``zone_left`` for the person's zones, and ``left``."""
         if self.track_id is None:
             return []
-        crossings = self._zone_watch.end(timestamp, self.seen_at)
-        return [*self._crossed(crossings), self._moment("left", timestamp)]
+        score = self.confirmation.score
+        return self._named(self._scored(self._watches.leave(timestamp, self.place.seen_at, score)))
 
-    def _moment(self, name: EventName, timestamp: float) -> Event:
-        return self._annotated(Event(name, "instant", timestamp, self.score))
+    def _scored(self, events: Sequence[Event]) -> list[Event]:
+        return [replace(event, probability=self.confirmation.score) for event in events]
 
-    def _annotated(self, event: Event) -> Event:
-        return replace(
-            event,
-            track_id=self.track_id,
-            caller_track_id=self.caller_id,
-            zones=self._zone_names(),
-            on_floor=self._rest.on_floor if event.event in ("lying", "fell") else None,
-        )
-
-    def _crossed(self, events: Sequence[Event]) -> list[Event]:
-        """Events of zones with the track's identities and probability."""
+    def _named(self, events: Sequence[Event]) -> list[Event]:
         return [
-            replace(self._annotated(event), zones=event.zones, probability=self.score)
+            replace(event, track_id=self.track_id, caller_track_id=self.caller_id)
             for event in events
         ]
-
-    def _known_posture(self) -> PostureName | None:
-        label = self._posture.label if self._posture else None
-        return None if label == "unclear" else label
-
-    def _zone_names(self) -> tuple[str, ...]:
-        return tuple(zone.name for zone in self._zone_watch.zones)
 
     def _tracked(
         self, person: Person, pose: SmoothedPose | None, timestamp: float
     ) -> TrackedPerson:
         if self.track_id is None:
             raise ValueError("expected a confirmed track")
-        still_s = timestamp - self._still_from if self._still is not None else 0.0
-        known = {"facing": self._facing, "posture": self._posture}
-        if timestamp - self._body_at > EXTRAPOLATED_S:
-            known = {}
+        lies = self._body.posture == "lying"
         return TrackedPerson(
-            **vars(person) | known,
+            **vars(person) | self._body.known(timestamp),
             track_id=self.track_id,
             age_frames=self.age_frames,
             pose=pose,
-            action=self._action,
-            zones=self._zone_names(),
+            action=self._body.action,
+            zones=self._watches.zones,
             caller_track_id=self.caller_id,
-            still_s=still_s if still_s >= _STILL_FROM_S else None,
-            on_floor=self._rest.on_floor if self._known_posture() == "lying" else None,
+            still_s=self.place.still_s(timestamp),
+            on_floor=self._watches.rest.on_floor if lies else None,
         )
-
-
-def _vote_of(skeleton: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
-    """The vote ``(10,)`` of a skeleton ``(24, 3)`` for its posture."""
-    up = camera_up(motion.elevation_deg)
-    posture = POSTURES[int(classify_postures(skeleton[None], up)[0])]
-    return vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
-
-
-def _weight(person: Person) -> float:
-    """Weight of a frame's posture: how likely the posture is right, given the landmarks."""
-    presence = 1.0 if person.presence is None else person.presence
-    right = 1.0 if person.trust is None else person.trust.right
-    right = math.pow(right, _RELIABILITY_EXPONENT)
-    return 1 - presence * (1 - right)
-
-
-def _reliability(person: Person, confidence: float) -> float:
-    """Weight of a frame, from the landmark network or, without landmarks, from the pose."""
-    return confidence if person.presence is None else _weight(person) * person.presence
-
-
-def _observation(
-    person: Person,
-    shares: NDArray[np.float64],
-    confidence: float,
-    frame_shape: tuple[int, ...],
-    covered: float,
-) -> Observation:
-    """The input of the fall model from one frame, with landmarks if any were read.
-
-    Without landmarks, the posture is that of the hypotheses, whose shares ``(10,)`` are given, and
-    the confidence is that of the smooth pose.
-    """
-    if person.frame_posture is None or person.landmarks is None:
-        return Observation(
-            person.box, frame_shape, LANDMARK_GROUPS.sums(shares), confidence, covered=covered
-        )
-    return Observation.of(person, frame_shape, covered)
 
 
 # Least probability that two sightings are the same person. In pairs of held-out films, one person
@@ -408,52 +249,3 @@ def associate(
     costs[tuple(np.transpose(pairs))] = np.minimum(found, 10 * _MAX_COST)
     _, _, rows = lap.lapjv(costs, extend_cost=True, cost_limit=_MAX_COST)
     return [tracks[row] if row >= 0 else None for row in rows]
-
-
-# Shares of the difference between prediction and observation that correct place, velocity, size.
-_PLACE_GAIN, _VELOCITY_GAIN, _SIZE_GAIN = 0.7, 0.3, 0.3
-# Time in which an unseen person's velocity falls to 1/e.
-_DRIFT_S = 1.0
-# Least elapsed time: a frame that is sent again has the same time.
-_MIN_ELAPSED_S = 1e-3
-
-
-class BoxFilter:
-    """Predicts a person's box, assuming a constant velocity.
-
-    The place is the middle of the lower edge, where the person stands.
-    """
-
-    def __init__(self, box: Box, timestamp: float) -> None:
-        self._place = box.foot
-        self._size = np.array([box.width, box.height])
-        self._timestamp = timestamp
-        self.velocity = np.zeros(2)
-        """Pixels a second, right and down."""
-        self.seen = box
-        """The last observed box."""
-
-    def predict(self, timestamp: float) -> Box:
-        """Box at a later time; it may lie outside the frame."""
-        place = self._predicted_place(timestamp - self._timestamp)
-        width, height = self._size.tolist()
-        return Box(float(place[0]) - width / 2, float(place[1]) - height, width, height)
-
-    def update(self, box: Box, timestamp: float, *, whole: bool) -> None:
-        """Correct the prediction by an observed box; it shrinks only for a whole person."""
-        elapsed = max(timestamp - self._timestamp, _MIN_ELAPSED_S)
-        predicted = self._predicted_place(elapsed)
-        growth = np.array([box.width, box.height]) - self._size
-        error = box.foot - predicted
-        self._place = predicted + _PLACE_GAIN * error
-        # The longer the gap, the more of the error is due to the velocity alone.
-        gain = _VELOCITY_GAIN / elapsed if elapsed < 1 else 1 / elapsed
-        self.velocity = self.velocity + gain * error
-        growth = growth if whole else np.maximum(growth, 0)
-        self._size = self._size + _SIZE_GAIN * growth
-        self._timestamp = timestamp
-        self.seen = box
-
-    def _predicted_place(self, elapsed: float) -> NDArray[np.float64]:
-        travel = _DRIFT_S * (1 - math.exp(-elapsed / _DRIFT_S))
-        return np.asarray(self._place + travel * self.velocity)

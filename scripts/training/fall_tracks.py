@@ -19,7 +19,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from app.tracking.falls import Observation
+from app.tracking.falls import observation
 from app.vision.geometry import Box
 from index.skeleton import JOINT_NAMES
 from scripts.index.body import about_vertical
@@ -328,9 +328,9 @@ def tracks_of(scene: Scene, library: Library, eyes: Eyes, generator: Generator) 
             box = Box.from_edges(*edges)
             hips = None if np.isnan(eyes.hips[row]) else box.y + eyes.hips[row] * box.height
             posture = np.nan_to_num(eyes.posture[row])
-            observed[who, number] = Observation(
+            observed[who, number] = observation(
                 box, scene.shape, posture, float(np.nan_to_num(eyes.right[row])), hips
-            ).row()
+            )
     _cover(observed)
     _exchange(observed, generator)
     tracks: list[Track] = []

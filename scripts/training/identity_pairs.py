@@ -38,7 +38,7 @@ class Pairs:
         """Add the pairs of a frame; those of unknown people are left out."""
         shown = in_window or {}
         for track in tracks:
-            who = self._who(track.box_filter.seen, track.seen_at)
+            who = self._who(track.place.seen, track.place.seen_at)
             known = track.known(timestamp)
             for column, person in enumerate(people):
                 other = self._who(person.box, timestamp)

@@ -22,7 +22,7 @@ from app.estimation.upload import Upload
 from app.photograph import load_estimator
 from app.scheduling.job import Job
 from app.settings import Settings
-from app.tracking.falls import Observation
+from app.tracking.falls import observation_of
 from app.tracking.results import TrackedPerson
 from app.vision.geometry import Box
 from app.vision.people import landmark_rows
@@ -43,7 +43,7 @@ def observed(film: Film, session: CameraSession, pairs: Pairs) -> dict[str, NDAr
 
     ``rows``: per person and frame, joints in camera axes and the answer there. ``tracks``
     ``(K, 20)``: per frame and tracked person, the frame, the identity, which person it is or -1,
-    and :meth:`app.tracking.falls.Observation.row`. ``left`` ``(L, 2)``: identities with the time at
+    and :meth:`app.tracking.falls.observation`. ``left`` ``(L, 2)``: identities with the time at
     which they were let go. ``pairs`` are :meth:`scripts.training.identity_pairs.Pairs.rows`.
     """
     width, height = film.size
@@ -72,7 +72,7 @@ def observed(film: Film, session: CameraSession, pairs: Pairs) -> dict[str, NDAr
             overlaps = [box.iou(person.box) * _is_shown_by(box, person) for box in true]
             who = int(np.argmax(overlaps)) if any(overlaps) else -1
             if person.source != "track" and person.frame_posture is not None:
-                row = _observation(person, frame.persons, (height, width)).row()
+                row = _observation(person, frame.persons, (height, width))
                 tracks.append([number, person.track_id, who, *row])
         left += [
             [event.track_id, event.timestamp] for event in frame.events if event.event == "left"
@@ -99,11 +99,11 @@ def _is_shown_by(box: Box, person: TrackedPerson) -> bool:
 
 def _observation(
     person: TrackedPerson, persons: Sequence[TrackedPerson], shape: tuple[int, int]
-) -> Observation:
+) -> NDArray[np.float64]:
     """The input of the model of falls for a person, as in a session."""
     others = [one for one in persons if one is not person and one.source != "track"]
     covered = max((one.box.intersection(person.box) / person.box.area for one in others), default=0)
-    return Observation.of(person, shape, covered)
+    return observation_of(person, shape, covered)
 
 
 def _answer(person: TrackedPerson) -> NDArray[np.float64]:

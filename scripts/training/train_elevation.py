@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.networks.shipped import FOLDER
-from app.tracking.body import elevation_features
+from app.tracking.seen_body import elevation_features
 from app.vision.judgement import load_photograph_models
 from app.vision.people import LANDMARK_NAMES
 from index import DEFAULT_PATH

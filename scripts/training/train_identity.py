@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from app.networks.probabilities import sigmoid
 from app.networks.shipped import FOLDER
-from app.tracking.track import BoxFilter
+from app.tracking.place import BoxFilter
 from app.vision.geometry import Box
 from app.vision.same_person import FEATURES, KnownPerson
 from scripts.training.fit_dense import fit_dense

@@ -40,6 +40,8 @@ class FakeSession:
         job: Job,
         evidence: str,
         zones: object,
+        *,
+        drawn: bool,
     ) -> TrackedFrame:
         job.checkpoint()
         self.while_working()

@@ -79,7 +79,8 @@ REPORTED = {
 
 def event(name: str, timestamp: float) -> dict[str, Any]:
     """An event as the service reports it, at a time; all have the fields of ``entered``."""
-    return {**REPORTED["entered"], **REPORTED.get(name, {"event": name}), "timestamp": timestamp}
+    known = {"id": f"{name}-{timestamp}", "timestamp": timestamp}
+    return {**REPORTED["entered"], **REPORTED.get(name, {"event": name}), **known}
 
 
 @contextmanager

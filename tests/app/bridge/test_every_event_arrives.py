@@ -158,7 +158,7 @@ def end(process: subprocess.Popen[Any], number: int) -> None:
 
 def content(event: dict[str, Any]) -> str:
     """What the service says of an event."""
-    own = ("id", "camera_id", "time")
+    own = ("id", "camera_id", "time", "replay")
     return json.dumps({k: v for k, v in event.items() if k not in own}, sort_keys=True)
 
 

@@ -51,7 +51,9 @@ def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
     monkeypatch.setattr(common_module, "WAITS_S", (0.1,))
     monkeypatch.setattr(module, "_RETRY_AFTER_S", 0.1)
     broker = Broker(tmp_path)
-    home = HomeAssistant(urlsplit(broker.address), "ward.1")
+    home = HomeAssistant(
+        urlsplit(broker.address), "ward.1", None, lambda event: b"of " + event.encode()
+    )
     outbox, stopping = Outbox("ward.1", ["mqtt"]), threading.Event()
     work = (outbox, stopping, "mqtt", home.send, home.keep)
     thread = threading.Thread(target=deliver, args=work)
@@ -66,7 +68,7 @@ def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
 
 def message(number: int, name: str = "fell") -> Message:
     time = "2026-01-01T12:00:00.000+00:00"
-    return {"id": str(number), "camera_id": "ward.1", "time": time, **event(name, 12.0)}
+    return {**event(name, 12.0), "id": str(number), "camera_id": "ward.1", "time": time}
 
 
 def test_what_the_broker_refuses_waits(ward: Ward, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,7 +110,7 @@ def test_who_sees_nothing_is_offline(ward: Ward, monkeypatch: pytest.MonkeyPatch
         topic for topic, payload in ward.subscriber.latest.items() if "/config" in topic and payload
     }
     assert {topic.split("/")[-2] for topic in discovered} == {
-        "events", "fell", "last_fall", "obstructed", "people", "posture", "zones_floor"
+        "events", "fell", "last_fall", "obstructed", "people", "posture", "replay", "zones_floor"
     }  # fmt: skip
     ward.home.hide()
     eventually(ward.shows(available="offline", people="None", **{"zones/floor": "None"}))
@@ -119,28 +121,18 @@ def test_a_fall_is_shown_for_a_while_with_its_time(
 ) -> None:
     monkeypatch.setattr(module, "FELL_SHOWN_S", 1)
     eventually(lambda: ward.fell == {"state": "OFF"})
+    config = f"homeassistant/binary_sensor/silhouette_pose_{module.slug('ward.1')}/fell/config"
+    eventually(lambda: config in ward.subscriber.latest)
+    template = jinja2.Template(json.loads(ward.subscriber.latest[config])["value_template"])
+    assert template.render(value_json=ward.fell) == "OFF"
     ward.outbox.put(message(1))
     eventually(lambda: ward.fell == {**message(1), "state": "ON"})
+    assert template.render(value_json=ward.fell) == "ON"
     ward.broker.stop()
     ward.outbox.put(message(2))
     ward.broker.start()
     eventually(lambda: ward.fell == {**message(2), "state": "ON"})
     eventually(lambda: ward.fell == {**message(2), "state": "OFF"})
-
-
-def test_the_sensor_of_a_fall_turns_on_by_its_own_template(ward: Ward) -> None:
-    def state() -> str | None:
-        latest = ward.subscriber.latest
-        configs = [json.loads(text) for topic, text in latest.items() if topic.endswith("/config")]
-        for config in configs:
-            if config["name"] == "Fell" and config["state_topic"] in latest:
-                value = json.loads(latest[config["state_topic"]])
-                return jinja2.Template(config["value_template"]).render(value_json=value)
-        return None
-
-    eventually(lambda: state() == "OFF")
-    ward.outbox.put(message(1))
-    eventually(lambda: state() == "ON")
 
 
 def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> None:
@@ -152,7 +144,7 @@ def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> N
     for one in sent:
         ward.outbox.put(one)
     eventually(lambda: len(ward.subscriber.events) == 3)
-    eventually(ward.shows(last_fall=message(2)["time"]))
+    eventually(ward.shows(last_fall=message(2)["time"], replay="of 2"))
     device = next(t for t in ward.subscriber.latest if t.endswith("/last_fall/config")).split("/")[
         2
     ]
@@ -166,6 +158,7 @@ def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> N
     late = Subscriber(ward.broker.port, "late")
     eventually(lambda: f"{BASE}/last_fall" in late.latest)
     assert entity["state_topic"] == f"{BASE}/events" and late.events == []
+    assert config(f"image/{device}/replay")["image_topic"] == f"{BASE}/replay"
     for topic in (f"event/{device}/events", f"sensor/{device}/last_fall"):
         assert "availability_topic" not in config(topic)
     late.close()
@@ -174,6 +167,7 @@ def test_each_event_is_one_of_an_entity_and_the_last_fall_stays(ward: Ward) -> N
 def test_a_zone_that_went_while_the_bridge_did_not_run_is_withdrawn(ward: Ward) -> None:
     ward.home.show(0, {"bed": True, "floor": False})
     eventually(ward.shows(**{"zones/bed": "ON", "zones/floor": "OFF"}))
+    ward.home.close()
     successor = HomeAssistant(urlsplit(ward.broker.address), "ward.1")
     eventually(lambda: len(successor.news()) > 0)
     successor.show(0, None)  # The service has not named its zones yet.

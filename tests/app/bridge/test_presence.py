@@ -25,6 +25,9 @@ class Camera:
     def settings(self) -> tuple[list[str], Collection[str]]:
         return ["bed", "door"], self._raised
 
+    def replay_url(self, event_id: str) -> str:
+        return f"/replay/{event_id}"
+
 
 class Watched:
     """A bridge, and what it shows."""

@@ -4,6 +4,7 @@ import io
 import os
 import time
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,7 @@ def saved(form: str, image: np.ndarray, **options: Any) -> bytes:
     return buffer.getvalue()
 
 
+@cache
 def sound() -> dict[str, bytes]:
     """Files of all kinds, since what a confined process imports too late makes it fail."""
     rgb = quadrants()[..., ::-1]
@@ -109,11 +111,12 @@ def test_sizes_are_checked(workers: Workers) -> None:
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux")
 @pytest.mark.parametrize(
-    "data",
-    [tiff_tile(6000), tiff_tags(), gif(1, (65_000, 65_000))],
+    "make",
+    [lambda: tiff_tile(6000), tiff_tags, lambda: gif(1, (65_000, 65_000))],
     ids=["tile", "tags", "picture"],
 )
-def test_memory_is_bounded_by_the_pixels(workers: Workers, data: bytes) -> None:
+def test_memory_is_bounded_by_the_pixels(workers: Workers, make: Callable[[], bytes]) -> None:
+    data = make()
     decode(workers, saved("BMP", quadrants()))
     process = process_of(workers)
     status = Path(f"/proc/{process}/status")

@@ -3,12 +3,15 @@
 import cv2
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
 from app.estimation.poses import NormalisedPerson, place_skeletons
 from app.vision.optics import PinholeCamera, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, silhouette_from_mask
+from descriptor.silhouette import is_wide, normalise, principal_axis_deg
 from index.skeleton import (
     LIMBS,
     OTHER_SIDE,
@@ -23,6 +26,8 @@ from tests.support.projection import project
 
 SHAPE = (300, 300)
 CENTRE = np.array([149.5, 149.5])
+WIDE_DEG = pytest.mark.parametrize("angle", [-120.0, -90.0, -65.0, 70.0, 90.0, 115.0])
+ANY_DEG = pytest.mark.parametrize("angle", [-135.0, -90.0, -30.0, 0.0, 20.0, 90.0, 120.0, 180.0])
 
 
 def about_centre(angle: float) -> NDArray[np.float64]:
@@ -66,6 +71,59 @@ def seen(scores: float | NDArray[np.float64] = 0.5, angle: float = 0.0) -> Landm
 def person(angle: float = 0.0, landmarks: Landmarks | None = None) -> NormalisedPerson:
     """`standing`, rotated clockwise in the frame."""
     return NormalisedPerson.of(silhouette_of(standing(), angle), landmarks)
+
+
+def landmarks_in_frame(one: NormalisedPerson) -> NDArray[np.float64]:
+    landmarks = one.normalised_landmarks()
+    assert landmarks is not None
+    return one.points_in_frame(landmarks.positions)
+
+
+@pytest.mark.parametrize("angle", [-35.0, -10.0, 0.0, 30.0, 180.0])
+def test_narrow_silhouette_is_not_rotated(angle: float) -> None:
+    silhouette = silhouette_of(standing(), angle)
+    one = NormalisedPerson.of(silhouette, None)
+    assert one.roll_deg == 0
+    assert_array_equal(one.silhouette, normalise(silhouette.crop)[0])
+    assert one.to_frame[0, 0] == one.to_frame[1, 1]
+    assert one.to_frame[0, 1] == one.to_frame[1, 0] == 0
+
+
+@WIDE_DEG
+def test_wide_silhouette_is_rotated_upright(angle: float) -> None:
+    one = person(angle)
+    assert abs(one.roll_deg) > 40
+    assert not is_wide(one.silhouette)
+    assert principal_axis_deg(one.silhouette) == pytest.approx(0, abs=3)
+    # Head or feet up, as large as a standing person.
+    assert one.silhouette.any(axis=1).sum() > 100
+
+
+@ANY_DEG
+def test_landmarks_map_back_to_the_frame(angle: float) -> None:
+    observed = seen(angle=angle)
+    one = person(angle, observed)
+    landmarks = one.normalised_landmarks()
+    assert landmarks is not None
+    shown = [landmark(POINT_NAMES[row]) for row in landmarks.rows]
+    assert_allclose(landmarks_in_frame(one), observed.positions[shown], atol=1e-9)
+    assert_array_equal(landmarks.scores, observed.visibility[shown])
+    # In depth they are turned with the silhouette.
+    limbs = observed.metres[rows(*LIMBS, among=LANDMARK_NAMES)]
+    assert_allclose(rotate_clockwise(landmarks.limbs_3d, -one.roll_deg), limbs, atol=1e-9)
+
+
+@ANY_DEG
+def test_silhouette_maps_back_to_the_frame(angle: float) -> None:
+    silhouette = silhouette_of(standing(), angle)
+    one = NormalisedPerson.of(silhouette, None)
+    pixels = np.argwhere(one.silhouette)[:, ::-1].astype(float)
+    x, y = np.rint(one.points_in_frame(pixels)).astype(int).T
+    mask = silhouette.mask(SHAPE)
+    assert mask[y.clip(0, 299), x.clip(0, 299)].mean() > 0.97
+    # All of it.
+    area = one.silhouette.sum() * np.linalg.det(one.to_frame[:, :2])
+    assert area == pytest.approx(mask.sum(), rel=0.03)
 
 
 def test_visible_limbs_nose_and_toes_are_used() -> None:
@@ -149,6 +207,15 @@ def landmarks_of(placed: NDArray[np.float64], visibility: float = 0.9) -> Landma
     metres = (placed[rows] - hips) @ line.T
     count = len(LANDMARK_NAMES)
     return Landmarks(pixels, np.full(count, visibility), metres, 1e-6 * np.eye(count))
+
+
+@given(x=st.floats(-2, 2), y=st.floats(-0.5, 0.5), z=st.floats(3, 8))
+def test_exact_skeletons_stay_where_they_are(x: float, y: float, z: float) -> None:
+    placed, pixels = projected(skeleton(), np.array([x, y, z]))
+    own, _ = about_line_of_sight(placed)
+    result = place_skeletons(own[None], pixels[None], landmarks_of(placed), CAMERA)
+    assert_allclose(result.points_2d[0], pixels, atol=1e-6)
+    assert_allclose(result.points_3d[0] + result.pelvis[0], placed, atol=0.03)
 
 
 def test_first_hypothesis_follows_the_landmarks_in_depth_and_another_one_does_not() -> None:

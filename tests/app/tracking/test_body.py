@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from app.tracking.body import SeenBody
+from app.tracking.seen_body import SeenBody
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from index.posture import POSTURES, camera_up, classify_postures
 from index.posture import azimuth_deg as seen_azimuth_deg

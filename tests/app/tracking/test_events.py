@@ -6,7 +6,7 @@ import pytest
 
 from app.estimation.posture import LANDMARK_GROUPS
 from app.tracking.events import EventDetector
-from app.tracking.falls import Observation
+from app.tracking.falls import observation
 from app.tracking.results import Event
 from app.vision.geometry import Box
 from index.posture import PostureName, vote_posture
@@ -37,7 +37,7 @@ def watch(
             other: PostureName = "bending" if posture != "bending" else "crouching"
             shares = vote_posture([posture, other], [probability, 1 - probability])
             box = BOXES.get(posture, STANDS)
-            seen = Observation(box, FRAME, LANDMARK_GROUPS.sums(shares), 0.6 * confidence)
+            seen = observation(box, FRAME, LANDMARK_GROUPS.sums(shares), 0.6 * confidence)
             events += detector.update(frame / fps, shares, confidence, seen, rests=rests)
             frame += 1
     return events
@@ -140,7 +140,7 @@ def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
     events: list[Event] = []
     for frame in range(50, 100):
         shares = vote_posture(["lying", "bending"], [0.9, 0.1])
-        seen = Observation(BOXES["lying"], FRAME, LANDMARK_GROUPS.sums(shares), 0.6)
+        seen = observation(BOXES["lying"], FRAME, LANDMARK_GROUPS.sums(shares), 0.6)
         events += detector.update(frame / FPS, shares, 1.0, seen)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6

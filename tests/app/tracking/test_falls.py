@@ -20,7 +20,8 @@ from app.tracking.falls import (
     FallModel,
     FallReport,
     FallWatch,
-    Observation,
+    observation,
+    observation_of,
     shipped_models,
     window_features,
 )
@@ -36,7 +37,7 @@ STANDS, SITS, LIES = (np.eye(6)[row] for row in (0, 3, 5))
 
 
 def seen(box: Box, posture: NDArray[np.float64], covered: float = 0.0) -> NDArray[np.float64]:
-    return Observation(box, FRAME, 0.9 * posture, 0.6, covered=covered).row()
+    return observation(box, FRAME, 0.9 * posture, 0.6, covered=covered)
 
 
 def mixed(start: Box, end: Box, share: float) -> Box:
@@ -181,11 +182,11 @@ def test_postures_of_a_doubtful_person_count_less() -> None:
         landmarks=Landmarks(points, np.ones(33), np.zeros((33, 3))),
         frame_posture=FramePosture(STANDS),
     )  # fmt: skip
-    row = Observation.of(person, FRAME, 0.3).row()
+    row = observation_of(person, FRAME, 0.3)
     assert row[5:11] == pytest.approx(0.4 * STANDS)
     assert (row[4], row[11], row[12]) == (50, 0.2, 0.3)
     with pytest.raises(ValueError, match="expected a person with landmarks"):
-        Observation.of(Person(UPRIGHT, "detector", 0.9), FRAME)
+        observation_of(Person(UPRIGHT, "detector", 0.9), FRAME)
 
 
 @pytest.fixture(scope="module")
@@ -248,7 +249,7 @@ def test_neither_the_size_of_the_frame_nor_a_mirror_changes_anything() -> None:
             corner = scale * (x + 0.5) - 0.5, scale * (y + 0.5) - 0.5
             box = Box(*corner, scale * width, scale * height)
             shape = (round(480 * scale), round(640 * scale))
-            rows.append(Observation(box, shape, draw.dirichlet(np.ones(6)), 0.5).row())
+            rows.append(observation(box, shape, draw.dirichlet(np.ones(6)), 0.5))
         return window_features(times, np.array(rows), float(times[-1]), MEMORIES["long"])
 
     plain = features(1.0, False)

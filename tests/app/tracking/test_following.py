@@ -222,7 +222,7 @@ def test_for_a_person_who_fell_and_is_not_seen_searches_come_at_their_interval(
     shown, empty = decoded(drawn, (0, 100)), decoded(drawn)
     (person,), _ = people.find(shown, 0.0, [], Job())
     track = Track(person, 0.0)
-    track.track_id, track.lies_at = 1, person.box
+    track.track_id, track.place.lies_at = 1, person.box
     detector.searches = 0
     for step in range(100, 200):  # Ten seconds, later.
         assert people.find(empty, step / 10, [track], Job()) == ([], {})

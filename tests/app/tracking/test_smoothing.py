@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
-from app.tracking.body import SeenBody
 from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
+from app.tracking.seen_body import SeenBody
 from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
 from app.vision.people import Landmarks
 from index.posture import POSTURES, azimuth_deg

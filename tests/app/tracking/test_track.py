@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from app.estimation.results import Person
 from app.scene import Patch
 from app.tracking.falls import REPORTED_LOST_FROM
-from app.tracking.track import BoxFilter, Track, associate
+from app.tracking.place import BoxFilter
+from app.tracking.track import Track, associate
 from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.judgement import FramePosture, Trust
@@ -73,15 +74,15 @@ class TestBoxFilter:
 def test_confirmed_by_the_detector_and_by_what_the_windows_show(
     seen: list[Person], confirmed: bool
 ) -> None:
-    assert track_of(*seen).is_confirmed == confirmed
+    assert track_of(*seen).confirmation.holds == confirmed
 
 
 def test_a_chair_counts_as_a_person_once_somebody_has_sat_on_it_for_a_while() -> None:
     track = track_of(*[detected(0.9, person=0.1)] * 50)
-    assert not track.is_confirmed
+    assert not track.confirmation.holds
     for step in range(30):
         track.see(detected(0.9, person=0.99), 5 + step / 10)
-    assert track.is_confirmed
+    assert track.confirmation.holds
 
 
 def test_the_appearance_follows_those_who_are_whole() -> None:
@@ -200,23 +201,23 @@ def test_who_fell_and_is_not_seen_stays_until_the_picture_changes() -> None:
     assert (fell.event, fell.lost, stays) == ("fell", True, True)
     assert fell.probability >= REPORTED_LOST_FROM
     assert track.lose(frame, 9.0) == ([], True)
-    assert track.lies_at == Box(240, 290, 190, 65)
+    assert track.place.lies_at == Box(240, 290, 190, 65)
     (left,), stays = track.lose(frame[::-1].copy(), 10.0)
     assert (left.event, stays) == ("left", False)
 
 
 def test_a_person_who_is_lost_behind_another_one_is_not_reported_as_fallen() -> None:
     track, frame = falling_unseen()
-    track.hidden = True
+    track.place.hidden = True
     events, stays = track.lose(frame, 5.6)
     assert ([event.event for event in events], stays) == (["left"], False)
     track, frame = falling_unseen()
     events, _ = track.lose(frame, 5.6, alone=False)
     assert [event.event for event in events] == ["left"]
     # A person who is seen again is not hidden any more.
-    track.hidden = True
+    track.place.hidden = True
     track.see(at(100), 6.0)
-    assert not track.hidden
+    assert not track.place.hidden
 
 
 RED, BLUE = (np.eye(80, dtype=np.float32)[row] for row in (3, 40))

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from app.vision.detectors.blazepose import (
+    ANCHOR_GRIDS,
+    DETECTOR_PX,
     BlazePoseDetector,
+    decode_anchors,
 )
 from app.vision.detectors.tiles import (
     MAX_FINE_PX,
@@ -30,6 +34,27 @@ from tests.support.rotation import rotate_points
 
 def bodies(detector: BlazePoseDetector, frame: NDArray[np.uint8]) -> list[Detection]:
     return detector.detect(Picture.of(frame, None))
+
+
+@given(seed=st.integers(0, 9999), count=st.integers(0, 12))
+def test_anchors_are_decoded_like_one_by_one(seed: int, count: int) -> None:
+    centres = [
+        ((column + 0.5) * stride, (row + 0.5) * stride)
+        for stride, per_cell in ANCHOR_GRIDS
+        for row in range(DETECTOR_PX // stride)
+        for column in range(DETECTOR_PX // stride)
+        for _ in range(per_cell)
+    ]
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0, 50, (len(centres), 12)).astype(np.float32)
+    used = rng.choice(len(centres), count, replace=False)
+    boxes, points = decode_anchors(values, used)
+    assert boxes.shape == (count, 4) and points.shape == (count, 4, 2)
+    for box, four, anchor in zip(boxes, points, used, strict=True):
+        x, y = centres[anchor]
+        dx, dy, width, height, *offsets = values[anchor].astype(float).tolist()
+        assert_allclose(box, [x + dx - width / 2, y + dy - height / 2, width, height])
+        assert_allclose(four, np.add([x, y], np.reshape(offsets, (4, 2))))
 
 
 @pytest.fixture(scope="module")
