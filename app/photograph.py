@@ -303,7 +303,6 @@ def fit_poses(
             n,
             landmarks,
             roll_deg=roll_deg,
-            whole=normalised.whole,
             reliability=0.5 if person.trust is None else person.trust.right,
         )
         person = replace(person, matched=Matched(normalised, found))
