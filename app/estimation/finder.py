@@ -70,7 +70,8 @@ class Target:
 
     @property
     def place(self) -> Box:
-        return self.target.found.box if self.reading is None else self.reading.landmarks.box()
+        """The box about the landmarks; before the reading, that of the detection."""
+        return self.found.box if self.reading is None else self.reading.landmarks.box()
 
 
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
