@@ -18,13 +18,13 @@ References
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import Cut, Models, PeopleFinder
+from app.estimation.finder import Found, Models, PeopleFinder, Target
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
@@ -131,16 +131,15 @@ class PaperFinder(PeopleFinder):
         job.checkpoint()
         return self._most(people, job), []
 
-    def _found(
-        self, upload: DecodedUpload, job: Job
-    ) -> tuple[Source, list[Detection], list[Detection], Cut | None]:
+    def _found(self, upload: DecodedUpload, job: Job) -> Found:
         if upload.mask is not None:
             return super()._found(upload, job)
         source: Source = "detector" if upload.boxes is None else "boxes"
         marked = [Detection(box, 1.0) for box in upload.boxes or ()]
-        found = marked if source == "boxes" else self.search(upload.frame, job)[0]
+        people = marked if source == "boxes" else self.search(upload.frame, job)[0]
+        found = Found([*map(Target, people)], source)
         if self.segmenter == "network" and upload.background is None:
-            return source, found, [], None
+            return found
         cut = partial(
             extract_silhouettes,
             whole(upload.frame),
@@ -148,4 +147,4 @@ class PaperFinder(PeopleFinder):
             shape=self._shape,
             checkpoint=job.checkpoint,
         )
-        return source, found, [], cut
+        return replace(found, cut=cut)

@@ -12,8 +12,8 @@ import numpy as np
 
 from app.decoding.pictures import Workers
 from app.estimation.finder import Models, PeopleFinder
-from app.estimation.poses import NormalisedPerson, check_bodies, place_skeletons
-from app.estimation.posture import LANDMARK_GROUPS, as_standing, likeliest_posture
+from app.estimation.poses import NormalisedPerson, PlacedSkeletons, check_bodies, place_skeletons
+from app.estimation.posture import LANDMARK_GROUPS, EstimatedPosture, as_standing, likeliest_posture
 from app.estimation.results import (
     Estimate,
     Evidence,
@@ -42,7 +42,7 @@ from app.vision.people import Detection
 from app.vision.person_reader import PersonReader
 from index.artefact import load_index
 from index.landmark_matching import match_landmarks, moved_along
-from index.matching import DEFAULT_HYPOTHESES, Match
+from index.matching import DEFAULT_HYPOTHESES, Match, PoseHypothesis
 from index.nearest import match_nearest
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
@@ -290,44 +290,52 @@ def fit_poses(
     """
     if normalised is None:
         return person
-    landmarks = normalised.normalised_landmarks()
-    silhouette, roll_deg = normalised.silhouette, normalised.roll_deg
-    if person.moved_along and person.matched is not None and landmarks is not None:
+    landmarks, roll_deg = normalised.normalised_landmarks(), normalised.roll_deg
+    if landmarks is None:
+        found = match(index, normalised.silhouette, n, roll_deg=roll_deg)
+    elif person.moved_along and person.matched is not None:
         found = moved_along(person.matched.found, landmarks, roll_deg)
-    elif landmarks is None:
-        found = match(index, silhouette, n, roll_deg=roll_deg)
     else:
+        right = 0.5 if person.trust is None else person.trust.right
         found = match_landmarks(
-            index,
-            silhouette,
-            n,
-            landmarks,
-            roll_deg=roll_deg,
-            whole=normalised.whole,
-            reliability=0.5 if person.trust is None else person.trust.right,
+            index, normalised.silhouette, n, landmarks, roll_deg=roll_deg, reliability=right
         )
         person = replace(person, matched=Matched(normalised, found))
-    facing = Facing(found.front_probability, "none" if landmarks is None else "image")
-    hypotheses = found.hypotheses
-    presence = 1.0 if person.presence is None else person.presence
-    confidences = [presence * one.confidence for one in hypotheses]
-    shares = found.postures
-    if not normalised.feet_visible:  # Nothing shows whether a person upright walks.
-        shares = as_standing(shares)
-    if person.frame_posture is not None:
-        shares = LANDMARK_GROUPS.split(person.frame_posture.probabilities, shares)
-    posture = likeliest_posture(shares, presence, max(confidences))
-    points_normalised = np.array([one.points_normalised for one in hypotheses[:n]])
+    chosen = found.hypotheses[:n]
     placed = place_skeletons(
-        np.array([one.points_3d for one in hypotheses[:n]]),
-        normalised.points_in_frame(points_normalised),
+        np.array([one.points_3d for one in chosen]),
+        normalised.points_in_frame(np.array([one.points_normalised for one in chosen])),
         None if landmarks is None else person.landmarks,
         camera,
     )
+    return replace(
+        person,
+        hips=placed.pelvis[0],
+        facing=Facing(found.front_probability, "none" if landmarks is None else "image"),
+        posture=_posture(person, found, feet_visible=normalised.feet_visible),
+        hypotheses=_projected(index, person, chosen, placed),
+    )
+
+
+def _posture(person: Person, found: Match, *, feet_visible: bool) -> EstimatedPosture:
+    shares = found.postures
+    if not feet_visible:  # Nothing shows whether a person upright walks.
+        shares = as_standing(shares)
+    if person.frame_posture is not None:
+        shares = LANDMARK_GROUPS.split(person.frame_posture.probabilities, shares)
+    best = max(one.confidence for one in found.hypotheses)
+    return likeliest_posture(shares, person.shown, person.shown * best)
+
+
+def _projected(
+    index: PoseIndex, person: Person, chosen: Sequence[PoseHypothesis], placed: PlacedSkeletons
+) -> tuple[ProjectedHypothesis, ...]:
+    """The hypotheses with their labels and places; no confidence exceeds that of the person."""
     projected = []
-    for row, one in enumerate(hypotheses[:n]):
+    for row, one in enumerate(chosen):
         label = index.label(one.entry_id, mirrored=one.mirrored)
-        fields = vars(one) | {"confidence": confidences[row], "points_3d": placed.points_3d[row]}
+        confidence = person.shown * one.confidence
+        fields = vars(one) | {"confidence": confidence, "points_3d": placed.points_3d[row]}
         projected.append(
             ProjectedHypothesis(
                 **fields,
@@ -336,13 +344,7 @@ def fit_poses(
                 pelvis=placed.pelvis[row],
             )
         )
-    return replace(
-        person,
-        hips=placed.pelvis[0],
-        facing=facing,
-        posture=posture,
-        hypotheses=tuple(projected),
-    )
+    return tuple(projected)
 
 
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:

@@ -62,10 +62,12 @@ def match_landmarks(
     landmarks: NormalisedLandmarks,
     *,
     roll_deg: float = 0.0,
-    whole: bool = True,
     reliability: float = 0.5,
 ) -> Match:
     """Find ``n`` distinct poses that fit a silhouette and landmarks.
+
+    If the silhouette does not show the whole body, landmarks alone choose and place the candidates,
+    from a sample of the index.
 
     Parameters
     ----------
@@ -74,13 +76,10 @@ def match_landmarks(
     roll_deg : float
         Roll of the camera in the silhouette and the landmarks; not 0 if they were rotated because
         the silhouette is wide.
-    whole : bool
-        Whether the silhouette shows the whole body. If not, landmarks alone choose and place the
-        candidates, from a sample of the index.
     reliability : float
         Probability that the landmarks are right, for the confidences.
     """
-    query = _LandmarkQuery(index, silhouette, roll_deg, landmarks, whole, reliability)
+    query = _LandmarkQuery(index, silhouette, roll_deg, landmarks, reliability)
     voters, alternatives = query.first_batch()
     voters_deg, votes = headings(voters), np.array([one.confidence for one in voters])
     front_probability = front_share(voters_deg, votes)
@@ -154,7 +153,6 @@ class _LandmarkQuery(Query):
     """A silhouette with landmarks; see :func:`match_landmarks`."""
 
     landmarks: NormalisedLandmarks
-    whole: bool
     reliability: float
 
     def batch(self, n: int, at_least: float = 0.0) -> list[PoseHypothesis]:
@@ -228,7 +226,7 @@ class _LandmarkQuery(Query):
         queries = [RotatedQuery.of(self.silhouette, rotation) for rotation in rotations]
         known = 0
         while True:
-            if self.whole:
+            if self.landmarks.whole:
                 found = find_candidates(self.index, queries, growth * _CANDIDATES)
                 kept = self._likeliest(found, found.distances, growth * _KEPT)
             else:

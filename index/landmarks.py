@@ -52,6 +52,7 @@ class NormalisedLandmarks:
     limb_scores: NDArray[np.float64]  # (12,): confidence of each limb joint, from 0 to 1
     # (12, 12): covariance of the errors of the limbs' depths, square metres.
     limb_covariance: NDArray[np.float64]
+    whole: bool = True  # whether the photograph shows the person from head to feet
     sigma_px: float = _SIGMA_PX  # standard deviation of a point about its landmark in the picture
 
     def __post_init__(self) -> None:

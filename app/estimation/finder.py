@@ -45,6 +45,10 @@ class Target:
         Those of :meth:`app.vision.person_reader.PersonReader.follow`.
     drawn : DrawnSilhouette or None
         As drawn last; it moves along with the landmarks unless it has to be drawn again.
+    reading : JudgedReading or None
+        The best reading, once the frame is read.
+    beside : bool
+        Whether the person was read while others were painted over.
     """
 
     found: Detection
@@ -53,47 +57,56 @@ class Target:
     least_trust: float = 0.0
     seen: Seen | None = None
     drawn: DrawnSilhouette | None = None
-
-    def box_of(self, reading: JudgedReading | None) -> Box:
-        """The person's box; for a person who is only followed, the box about the landmarks."""
-        if self.followed and reading is not None:
-            return reading.landmarks.box().grown(_BODY_MARGIN)
-        return self.found.box
-
-
-@dataclass(frozen=True)
-class _Body:
-    """A body to observe: its target, and the best reading of it.
-
-    ``beside`` says that the body was read while others were painted over.
-    """
-
-    target: Target
     reading: JudgedReading | None = None
     beside: bool = False
 
     @property
     def box(self) -> Box:
-        return self.target.box_of(self.reading)
+        """The person's box; for a person who is only followed, the box about the landmarks."""
+        if self.followed and self.reading is not None:
+            # Landmarks do not reach to the crown, fingers and toes.
+            return self.reading.landmarks.box().grown(0.1)
+        return self.found.box
 
     @property
     def place(self) -> Box:
-        return self.target.found.box if self.reading is None else self.reading.landmarks.box()
+        """The box about the landmarks; before the reading, that of the detection."""
+        return self.found.box if self.reading is None else self.reading.landmarks.box()
 
 
 Cut = Callable[[Sequence[Box]], Sequence[Silhouette | None]]
 
-_MARKED: tuple[Source, ...] = ("boxes", "mask")
-"""Sources in which the caller marks the people."""
+
+@dataclass(frozen=True)
+class Found:
+    """Whom a frame may show.
+
+    Parameters
+    ----------
+    source : str
+        How they were found. People marked by the caller stay, whatever is visible.
+    perhaps_beside : sequence of Detection
+        Possible people; they count if readings beside the targets' bodies show other bodies.
+    cut : callable, optional
+        Cuts people out of their boxes; by default, the masks of their readings do.
+    """
+
+    targets: Sequence[Target]
+    source: Source = "detector"
+    perhaps_beside: Sequence[Detection] = ()
+    cut: Cut | None = None
+
+    @property
+    def marked(self) -> bool:
+        """Whether the caller marked the people."""
+        return self.source in ("boxes", "mask")
+
 
 # In rendered groups, the share of possible people beside others who are real, given that a separate
 # reading shows another body.
 _READ_BESIDE_SCORE = 0.8
 # Share of a job's time in which people are read: their masks and poses take as long again.
 _READ_UNTIL = 0.4
-# Margin around a body's landmarks, as a share of their box: they do not reach to the crown, fingers
-# and toes.
-_BODY_MARGIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -129,42 +142,34 @@ class PeopleFinder:
         because they also separate people from the background.
         """
         landmarks = evidence == "photograph" and upload.has_frame
-        source, found, beside, cut = self._found(upload, job)
-        targets = [Target(one) for one in found]
-        people, _ = self.observe(
-            upload, targets, job, source, perhaps_beside=beside, landmarks=landmarks, cut=cut
-        )
-        if source in _MARKED:
+        found = self._found(upload, job)
+        people, _ = self.observe(upload, found, job, landmarks=landmarks)
+        if found.marked:
             return people
         # Detectors cut off foreheads, feet and outstretched arms that the silhouette shows.
         return [replace(one, box=one.box.joined(one.whole_box)) for one in people]
 
-    def _found(
-        self, upload: DecodedUpload, job: Job
-    ) -> tuple[Source, list[Detection], list[Detection], Cut | None]:
-        """The source, the people, the possible people beside them, and how to cut them out.
-
-        By default, the masks of their readings cut them out.
-        """
+    def _found(self, upload: DecodedUpload, job: Job) -> Found:
         frame = upload.frame
         if upload.mask is not None:
             with job.stage("segment"):
                 silhouettes = silhouettes_from_labels(upload.mask)
-            marked = [Detection(one.box, 1.0) for one in silhouettes]
-            return "mask", marked, [], lambda _: silhouettes
+            marked = [Target(Detection(one.box, 1.0)) for one in silhouettes]
+            return Found(marked, "mask", cut=lambda _: silhouettes)
         changed = cut = None
         if upload.background is not None:
             with job.stage("segment"):
                 changed = foreground(whole(frame), upload.background)
             cut = partial(cut_out_changed, changed, checkpoint=job.checkpoint)
         if upload.boxes is not None:
-            return "boxes", [Detection(box, 1.0) for box in upload.boxes], [], cut
+            return Found([Target(Detection(box, 1.0)) for box in upload.boxes], "boxes", cut=cut)
         if changed is None:
-            return "detector", *self.search(frame, job), cut
+            people, beside = self.search(frame, job)
+            return Found([*map(Target, people)], "detector", beside)
         with job.stage("detect"):
-            found = self._most(upright_regions(changed, self.smallest_px(frame.shape)), job)
+            people = self._most(upright_regions(changed, self.smallest_px(frame.shape)), job)
         job.checkpoint()
-        return "background", found, [], cut
+        return Found([*map(Target, people)], "background", cut=cut)
 
     def _most(self, found: list[Detection], job: Job) -> list[Detection]:
         """The people with the highest scores; the job counts the others."""
@@ -212,27 +217,18 @@ class PeopleFinder:
     def observe(
         self,
         upload: DecodedUpload,
-        targets: Sequence[Target],
+        found: Found,
         job: Job,
-        source: Source = "detector",
         *,
-        perhaps_beside: Sequence[Detection] = (),
         landmarks: bool = True,
-        cut: Cut | None = None,
         tight: bool = False,
     ) -> tuple[list[Person], list[int | None]]:
         """Observe people: read each body once, cut out the silhouettes, judge the landmarks.
 
         Parameters
         ----------
-        source : str
-            How the people were found. People marked by the caller stay, whatever is visible.
-        perhaps_beside : sequence of Detection
-            Possible people; they count if readings beside the targets' bodies show other bodies.
         landmarks : bool
             Whether landmarks are wanted; otherwise they only separate people.
-        cut : callable, optional
-            Cuts people out of their boxes; by default, the masks of their readings do.
         tight : bool
             Whether people get the boxes of their silhouettes: a detector's box may include more
             than the body.
@@ -245,14 +241,13 @@ class PeopleFinder:
             For each target, the position of the person that it shows. None if it shows no person,
             or if a track's window shows the person of a nearer track.
         """
-        marked = source in _MARKED
-        shows: list[int | None] = [*range(len(targets))]
-        if cut is not None and not landmarks:
-            bodies = [*map(_Body, targets)]
-        elif marked:
-            bodies = [*map(_Body, targets, self.read(upload, targets, job))]
-        else:
-            bodies, shows = self._bodies(upload, targets, perhaps_beside, job)
+        marked, cut = found.marked, found.cut
+        bodies: Sequence[Target] = found.targets
+        shows: list[int | None] = [*range(len(bodies))]
+        if cut is None or landmarks:
+            bodies = self._with_readings(upload, bodies, job)
+            if not marked:
+                bodies, shows = self._distinct(upload, bodies, found.perhaps_beside, job)
         moved = [None if cut else _moved(body, bodies, upload.frame.shape) for body in bodies]
         to_draw = [body for body, one in zip(bodies, moved, strict=True) if one is None]
         if cut is None:
@@ -266,24 +261,29 @@ class PeopleFinder:
         kept = [row for row, one in enumerate(silhouettes) if marked or one is not None]
         people = []
         for row in kept:
-            person = _person(bodies[row], silhouettes[row], source, tight=tight)
+            person = _person(bodies[row], silhouettes[row], found, tight=tight)
             person = self._with_reading(person, bodies[row], upload, landmarks=landmarks)
             people.append(_with_drawn(person, bodies[row], moved[row]))
         position: dict[int | None, int] = dict(zip(kept, range(len(kept)), strict=True))
         return people, [*map(position.get, shows)]
 
-    def _bodies(
+    def _with_readings(
+        self, upload: DecodedUpload, targets: Sequence[Target], job: Job
+    ) -> list[Target]:
+        readings = self.read(upload, targets, job)
+        return [replace(one, reading=read) for one, read in zip(targets, readings, strict=True)]
+
+    def _distinct(
         self,
         upload: DecodedUpload,
         targets: Sequence[Target],
         perhaps_beside: Sequence[Detection],
         job: Job,
-    ) -> tuple[list[_Body], list[int | None]]:
-        """The bodies of the targets, each once, and for each target the position of its body."""
-        readings = self.read(upload, targets, job)
-        best = best_shown_by(targets, readings)
+    ) -> tuple[list[Target], list[int | None]]:
+        """Each body of targets that were read, once; for each target, the position of its body."""
+        best = best_shown_by(targets)
         kept = [row for row in range(len(targets)) if best.get(row) == row]
-        bodies = [_Body(targets[row], readings[row]) for row in kept]
+        bodies = [targets[row] for row in kept]
         shows = [kept.index(best[row]) if row in best else None for row in range(len(targets))]
         # Two detections with readings of the same body may still be two people.
         hidden = [targets[row] for row in best if row not in kept and not targets[row].followed]
@@ -293,8 +293,8 @@ class PeopleFinder:
         return bodies + self._read_beside(upload, hidden, bodies, job), shows
 
     def _read_beside(
-        self, upload: DecodedUpload, hidden: Sequence[Target], bodies: Sequence[_Body], job: Job
-    ) -> list[_Body]:
+        self, upload: DecodedUpload, hidden: Sequence[Target], bodies: Sequence[Target], job: Job
+    ) -> list[Target]:
         """New bodies that detections show when they are read beside known bodies.
 
         The network reads the most prominent person in a window. MoveNet's keypoints of the
@@ -311,16 +311,16 @@ class PeopleFinder:
             if reading is None or first_of_body([*known, reading])[-1] < len(known):
                 continue
             known.append(reading)
-            found.append(_Body(target, reading, beside=True))
+            found.append(replace(target, reading=reading, beside=True))
         return found
 
-    def _masked(self, body: _Body) -> _Body:
+    def _masked(self, body: Target) -> Target:
         """A body with its mask."""
         reading = body.reading and self.models.reader.with_mask(body.reading)
         return replace(body, reading=reading)
 
     def _with_reading(
-        self, person: Person, body: _Body, upload: DecodedUpload, *, landmarks: bool
+        self, person: Person, body: Target, upload: DecodedUpload, *, landmarks: bool
     ) -> Person:
         """Add whether the body is truncated according to the reading, and landmarks if wanted."""
         reading = body.reading
@@ -350,9 +350,11 @@ class PeopleFinder:
         )
 
 
-def _moved(body: _Body, bodies: Sequence[_Body], frame_shape: tuple[int, ...]) -> Silhouette | None:
+def _moved(
+    body: Target, bodies: Sequence[Target], frame_shape: tuple[int, ...]
+) -> Silhouette | None:
     """The silhouette of a body as drawn last, if it moves along; None if it has to be drawn."""
-    drawn, reading = body.target.drawn, body.reading
+    drawn, reading = body.drawn, body.reading
     if drawn is None or reading is None or not reading.trust.is_right:
         return None
     if any(body.place.intersection(other.place) for other in bodies if other is not body):
@@ -360,10 +362,10 @@ def _moved(body: _Body, bodies: Sequence[_Body], frame_shape: tuple[int, ...]) -
     return drawn.on_landmarks(reading, frame_shape)
 
 
-def _with_drawn(person: Person, body: _Body, moved: Silhouette | None) -> Person:
+def _with_drawn(person: Person, body: Target, moved: Silhouette | None) -> Person:
     """A person with the silhouette as drawn last, unless it has just moved along."""
     if moved is not None:
-        return replace(person, drawn=body.target.drawn)
+        return replace(person, drawn=body.drawn)
     if body.reading is None or person.silhouette is None:
         return person
     positions = body.reading.landmarks.positions
@@ -371,7 +373,7 @@ def _with_drawn(person: Person, body: _Body, moved: Silhouette | None) -> Person
 
 
 def _by_masks(
-    bodies: Sequence[_Body], frame_shape: tuple[int, ...], job: Job, *, exact: bool
+    bodies: Sequence[Target], frame_shape: tuple[int, ...], job: Job, *, exact: bool
 ) -> Cut:
     """Cuts bodies out by the masks of their readings."""
     readings = [body.reading for body in bodies if body.reading]
@@ -380,25 +382,23 @@ def _by_masks(
     )
 
 
-def _person(body: _Body, silhouette: Silhouette | None, source: Source, *, tight: bool) -> Person:
+def _person(body: Target, silhouette: Silhouette | None, found: Found, *, tight: bool) -> Person:
     """The person of a body, without the results of its reading."""
     box, reading = body.box, body.reading
     if tight and silhouette and reading and reading.trust.is_person:
         box = silhouette.box
-    score = None if source in _MARKED else body.target.found.score
-    return Person(box, source, score, silhouette, beside=body.beside)
+    score = None if found.marked else body.found.score
+    return Person(box, found.source, score, silhouette, beside=body.beside)
 
 
-def best_shown_by(
-    targets: Sequence[Target], readings: Sequence[JudgedReading | None]
-) -> dict[int, int]:
+def best_shown_by(targets: Sequence[Target]) -> dict[int, int]:
     """For each row with a reading, the row whose reading of the same body is kept.
 
     A detection is kept rather than a track; of two detections, the one with keypoints that fit the
     reading better; of two tracks, the one with the box nearer to the body. The other track then
     shows no person.
     """
-    read = {row: reading for row, reading in enumerate(readings) if reading is not None}
+    read = {row: reading for row, one in enumerate(targets) if (reading := one.reading)}
 
     def rank(row: int) -> tuple[float, float]:
         target, reading = targets[row], read[row]

@@ -109,6 +109,7 @@ class NormalisedPerson:
             rotate_clockwise(self.landmarks.metres[_LIMBS], self.roll_deg),
             self.landmarks.visibility[_LIMBS],
             self.landmarks.depth_covariance[np.ix_(_LIMBS, _LIMBS)],
+            self.whole,
         )
 
     def points_in_frame(self, points_normalised: NDArray[np.float64]) -> NDArray[np.float64]:

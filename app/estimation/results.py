@@ -110,6 +110,11 @@ class Person:
     hypotheses: tuple[ProjectedHypothesis, ...] = ()
 
     @property
+    def shown(self) -> float:
+        """Probability that there is a person: the ``presence``, 1 where no window was read."""
+        return 1.0 if self.presence is None else self.presence
+
+    @property
     def whole_box(self) -> Box:
         return self.box if self.silhouette is None else self.silhouette.box
 
@@ -123,8 +128,7 @@ class Person:
         """Whether the window about a caller's box shows no person."""
         if self.source != "boxes":
             return False
-        unseen = self.presence is not None and self.presence < 0.5
-        return self.silhouette is None or unseen
+        return self.silhouette is None or self.shown < 0.5
 
     @property
     def voters(self) -> list[ProjectedHypothesis]:

@@ -58,7 +58,7 @@ class Body:
             timestamp,
             votes,
             person.frame_posture,
-            1.0 if person.presence is None else person.presence,
+            person.shown,
             person.whole_box,
             posture_weight(person),
         )
@@ -104,6 +104,5 @@ def posture_weight(person: Person) -> float:
     On held-out renders postures are right in 39, 58, 69, 77, 82 and 89 % where the probability that
     landmarks are is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85, which its fourth root follows.
     """
-    presence = 1.0 if person.presence is None else person.presence
     right = 1.0 if person.trust is None else person.trust.right
-    return 1 - presence * (1 - math.pow(right, 0.25))
+    return 1 - person.shown * (1 - math.pow(right, 0.25))

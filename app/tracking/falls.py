@@ -87,11 +87,10 @@ def observation_of(
     """The :func:`observation` of a person whose landmarks and posture were read."""
     if person.frame_posture is None or person.landmarks is None:
         raise ValueError("expected a person with landmarks and the posture of the frame")
-    presence = 1.0 if person.presence is None else person.presence
     return observation(
         person.box,
         frame_shape,
-        presence * np.asarray(person.frame_posture.probabilities),
+        person.shown * np.asarray(person.frame_posture.probabilities),
         1.0 if person.trust is None else person.trust.right,
         float(person.landmarks.positions[_HIPS, 1].mean()),
         covered,

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from app.estimation.finder import PeopleFinder, Target
+from app.estimation.finder import Found, PeopleFinder, Target
 from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
 from app.scene import Scene
@@ -97,9 +97,8 @@ class TrackedPeopleDetector:
         self._looked_at = {one: self._looked_at.get(one, one.place.seen_at) for one in tracks}
         found, beside, followed, unchanged = self._targets(upload, timestamp, tracks, job)
         targets = [*found, *(self._followed(*one, timestamp) for one in followed.items())]
-        people, shown = self._finder.observe(
-            upload, targets, job, perhaps_beside=beside, tight=True
-        )
+        wanted = Found(targets, perhaps_beside=beside)
+        people, shown = self._finder.observe(upload, wanted, job, tight=True)
         self._read_at = timestamp
         # Where another track expects them, appearance and place decide.
         expected = {

@@ -21,7 +21,6 @@ from app.networks.probabilities import log_odds, probability_of, softmax
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
 from app.tracking.seen_body import MAX_BODIES, clarity_of, log_likelihoods
-from app.vision.people import Silhouette
 from index.posture import UPRIGHT, azimuth_deg, vote_posture
 from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths
 
@@ -69,63 +68,16 @@ class Smoothed:
 
 
 @dataclass(frozen=True)
-class _Frame:
-    """A frame's N hypotheses as arrays, best first, and how clearly the body is visible."""
-
-    hypotheses: Sequence[ProjectedHypothesis]
-    points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
-    points_2d: NDArray[np.float64]  # (N, 24, 2): pixels of the frame.
-    confidences: NDArray[np.float64]  # (N,)
-    log_likelihoods: NDArray[np.float64]  # (N,), up to a constant, for the reference rate.
-    clarity: float  # Weight of landmarks, 0 to 1; 0 if none were read.
-    by_landmarks: bool
-
-    @classmethod
-    def of(cls, person: Person, max_states: int) -> _Frame:
-        hypotheses = person.voters[:max_states]
-        return cls(
-            hypotheses,
-            np.array([placed.points_3d for placed in hypotheses]),
-            np.array([placed.points_2d for placed in hypotheses]),
-            np.array([placed.confidence for placed in hypotheses]),
-            log_likelihoods(person)[:max_states],
-            clarity_of(person),
-            person.landmarks is not None,
-        )
-
-
-@dataclass(frozen=True)
 class _States:
     """The N states of a frame, and their log probabilities, each up to a constant."""
 
     timestamp: float
-    points_3d: NDArray[np.float64]  # (N, 24, 3), as those of the frame.
-    confidences: NDArray[np.float64]  # (N,), of the hypotheses.
+    points_3d: NDArray[np.float64]  # (N, 24, 3): camera axes, metres, origin at the pelvis.
+    confidences: NDArray[np.float64]  # (N,), of the hypotheses, best first.
     log_emission: NDArray[np.float64]  # (N,), given the frame.
     log_forward: NDArray[np.float64]  # (N,), given all frames up to this one.
     # (M, N), of moving from the states of the previous frame; None for the first frame.
     log_moves: NDArray[np.float64] | None
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where a person is in a frame: the foot of the box, or the silhouette's centroid.
-
-    Swinging limbs move a box more than the body.
-    """
-
-    foot: NDArray[np.float64]
-    silhouette: Silhouette | None
-
-    @classmethod
-    def of(cls, person: Person) -> _Place:
-        return cls(person.whole_box.foot, person.silhouette)
-
-    def minus(self, before: _Place) -> NDArray[np.float64]:
-        """How far ``(2,)`` the person has moved since another place."""
-        if self.silhouette is None or before.silhouette is None:
-            return self.foot - before.foot
-        return self.silhouette.centroid - before.silhouette.centroid
 
 
 class PoseSmoother:
@@ -134,19 +86,19 @@ class PoseSmoother:
     def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
         self._smoothing = smoothing
         self._states: deque[_States] = deque(maxlen=_MAX_LINE_FRAMES)
-        self._last: tuple[SmoothedPose, _Place] | None = None
+        self._last: tuple[SmoothedPose, Person] | None = None
 
     def update(self, person: Person, timestamp: float, motion: Motion) -> Smoothed | None:
         """Add a frame of a person; return the pose at it, None without hypotheses."""
         if not person.hypotheses:
             return None
-        frame = _Frame.of(person, self._smoothing.max_states)
-        self._add_states(frame, motion.heading, timestamp)
+        hypotheses = person.voters[: self._smoothing.max_states]
+        self._add_states(person, hypotheses, motion.heading, timestamp)
         probabilities = softmax(self._states[-1].log_forward)
-        pose, features = self._pose(frame, motion.heading, probabilities, timestamp)
-        self._last = pose, _Place.of(person)
+        pose, features = self._pose(person, hypotheses, motion.heading, probabilities)
+        self._last = pose, person
         votes = vote_posture(
-            [posture_in_motion(placed.posture, motion.velocity) for placed in frame.hypotheses],
+            [posture_in_motion(placed.posture, motion.velocity) for placed in hypotheses],
             probabilities.tolist(),
         )
         return Smoothed(pose, votes, features)
@@ -167,30 +119,38 @@ class PoseSmoother:
         odds = log_odds(pose.confidence) - 5.0 * age_s
         return replace(
             pose,
-            points_2d=pose.points_2d + _Place.of(person).minus(before),
+            points_2d=pose.points_2d + _moved(before, person),
             confidence=probability_of(odds),
         )
 
-    def _add_states(self, frame: _Frame, heading: Heading, timestamp: float) -> None:
+    def _add_states(
+        self,
+        person: Person,
+        hypotheses: Sequence[ProjectedHypothesis],
+        heading: Heading,
+        timestamp: float,
+    ) -> None:
         """Add a frame's states from its hypotheses and the heading: the forward step."""
-        log_emission = frame.log_likelihoods
+        points_3d = np.array([placed.points_3d for placed in hypotheses])
+        log_emission = log_likelihoods(person)[: len(hypotheses)]
         if self._states:
             elapsed = timestamp - self._states[-1].timestamp
             log_emission = log_emission * min(1.0, REFERENCE_HZ * elapsed)
-        azimuths_deg = azimuth_deg(frame.points_3d)
+        azimuths_deg = azimuth_deg(points_3d)
         log_emission = log_emission + self._smoothing.heading_weight * heading.log_likelihood(
             azimuths_deg
         )
         log_moves, log_forward = None, log_emission
         if self._states:
             last = self._states[-1]
-            log_moves = self._log_moves(last, frame.points_3d, timestamp)
+            log_moves = self._log_moves(last, points_3d, timestamp)
             log_forward = log_emission + _log_sum_exp(last.log_forward[:, None] + log_moves, axis=0)
         log_forward = log_forward - log_forward.max()
-        points_3d, confidences, clarity = frame.points_3d, frame.confidences, frame.clarity
+        confidences = np.array([placed.confidence for placed in hypotheses])
         self._states.append(
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
+        clarity = clarity_of(person)
         line_s = clarity * _LANDMARK_LINE_S + (1 - clarity) * self._smoothing.line_s
         # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
@@ -207,35 +167,35 @@ class PoseSmoother:
 
     def _pose(
         self,
-        frame: _Frame,
+        person: Person,
+        hypotheses: Sequence[ProjectedHypothesis],
         heading: Heading,
         probabilities: NDArray[np.float64],
-        timestamp: float,
     ) -> tuple[SmoothedPose, tuple[float, float]]:
         """The pose at the newest frame, and the features of its confidence."""
-        log_forward = self._states[-1].log_forward
-        smoothed_3d, hypotheses_odds = self._smoothed(timestamp)
-        postures = [placed.posture for placed in frame.hypotheses]
+        points_3d, log_forward = self._states[-1].points_3d, self._states[-1].log_forward
+        smoothed_3d, hypotheses_odds = self._smoothed()
+        postures = [placed.posture for placed in hypotheses]
         upright = float(probabilities @ [posture in UPRIGHT for posture in postures])
-        if frame.by_landmarks and upright * (1 - frame.clarity) > 0.5:
+        if person.landmarks is not None and upright * (1 - clarity_of(person)) > 0.5:
             smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
-        nearness = self._nearness(frame.points_3d, log_forward)
+        nearness = self._nearness(points_3d, log_forward)
         agreement_odds = log_odds(float(probabilities @ nearness))
         odds = (
             _CONFIDENCE_OFFSET
             + _HYPOTHESES_WEIGHT * hypotheses_odds
             + _AGREEMENT_WEIGHT * agreement_odds
         )
-        weights = self._weights_near_best(frame.points_3d, log_forward)
+        weights = self._weights_near_best(points_3d, log_forward)
         pose = SmoothedPose(
             smoothed_3d,
-            np.einsum("n,npd->pd", weights, frame.points_2d),
+            np.einsum("n,npd->pd", weights, np.array([placed.points_2d for placed in hypotheses])),
             probability_of(odds),
-            frame.hypotheses[int(probabilities.argmax())].entry_id,
+            hypotheses[int(probabilities.argmax())].entry_id,
         )
         return pose, (hypotheses_odds, agreement_odds)
 
-    def _smoothed(self, timestamp: float) -> tuple[NDArray[np.float64], float]:
+    def _smoothed(self) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame, from the last frames: the backward step.
 
         Also the log odds of the hypotheses near it, averaged over these frames.
@@ -254,7 +214,9 @@ class PoseSmoother:
             lengths.append(weights @ bone_lengths(states.points_3d))
             odds.append(log_odds(float(weights @ states.confidences)))
             later = states
-        ages = timestamp - np.array([states.timestamp for states in reversed(self._states)])
+        ages = self._states[-1].timestamp - np.array(
+            [states.timestamp for states in reversed(self._states)]
+        )
         weights = 1 - ages / (ages.max() + 1 / REFERENCE_HZ)
         smoothed = _line_at_zero(ages, np.array(averages), weights)
         return with_bone_lengths(smoothed, np.mean(lengths, axis=0)), float(np.mean(odds))
@@ -285,6 +247,16 @@ class PoseSmoother:
         shoulders_deg = float(np.rad2deg(np.arctan2(-away, right)))
         wanted_deg = heading.on_visible_side(shoulders_deg)
         return _turned(points_3d, wanted_deg - shoulders_deg)
+
+
+def _moved(before: Person, now: Person) -> NDArray[np.float64]:
+    """How far ``(2,)`` a person has moved: the silhouette's centroid, or the foot of the box.
+
+    Swinging limbs move a box more than the body.
+    """
+    if now.silhouette is None or before.silhouette is None:
+        return now.whole_box.foot - before.whole_box.foot
+    return now.silhouette.centroid - before.silhouette.centroid
 
 
 def _turned(points_3d: NDArray[np.float64], angle_deg: float) -> NDArray[np.float64]:

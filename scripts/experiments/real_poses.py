@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.finder import Target
+from app.estimation.finder import Found, Target
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import Person
 from app.estimation.upload import Upload
@@ -108,10 +108,9 @@ def answer(estimator: Estimator, shown: Shown, way: str) -> Person | None:
         return answer_by_paper(estimator.by("paper"), shown, person if way == PAPER_MASK else None)
     if way != SILHOUETTE:
         decoded = estimator.decode(Upload(shown.frame), Job())
-        target = Target(Detection(shown.box, 1.0))
-        (person,), _ = estimator.finder.observe(
-            decoded, [target], Job(), "boxes", cut=lambda _: [shown.silhouette]
-        )
+        targets = [Target(Detection(shown.box, 1.0))]
+        found = Found(targets, "boxes", cut=lambda _: [shown.silhouette])
+        (person,), _ = estimator.finder.observe(decoded, found, Job())
     if way == LANDMARKS:
         normalised = _NotWhole.of(shown.silhouette, person.landmarks)
         if normalised.normalised_landmarks() is None:

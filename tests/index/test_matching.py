@@ -1,5 +1,7 @@
 """Matching silhouettes, without and with landmarks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -287,8 +289,8 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     upper[round(float(hips[:, 1].mean())) :] = 0
     cut, to_whole = rotate_silhouette(upper, 0.0)
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
-    landmarks = landmarks_of(seen, entry.points_3d)
-    found = match_landmarks(toy_index, cut, 7, landmarks, whole=False)
+    landmarks = replace(landmarks_of(seen, entry.points_3d), whole=False)
+    found = match_landmarks(toy_index, cut, 7, landmarks)
     *errors, error_facing_away = [
         joint_error(one.points_normalised, seen) for one in found.hypotheses
     ]
@@ -297,7 +299,7 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     best = likeliest(found)
     assert joint_error(best.points_3d, entry.points_3d) < 0.15
     # The silhouette affects only the order.
-    other = match_landmarks(toy_index, np.ones_like(cut), 7, landmarks, whole=False)
+    other = match_landmarks(toy_index, np.ones_like(cut), 7, landmarks)
     assert min(joint_error(one.points_3d, best.points_3d) for one in other.hypotheses) < 0.1
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.estimation.finder import Models, PeopleFinder, Target
+from app.estimation.finder import Found, Models, PeopleFinder, Target
 from app.estimation.results import Person
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
@@ -47,9 +47,16 @@ def upload() -> DecodedUpload:
 
 
 def observed(
-    reader: KnownReader, targets: list[Target], **options: Any
+    reader: KnownReader,
+    targets: list[Target],
+    *,
+    landmarks: bool = True,
+    tight: bool = False,
+    **found: Any,
 ) -> tuple[list[Person], list[int | None]]:
-    return finder(reader).observe(upload(), targets, Job(), **options)
+    return finder(reader).observe(
+        upload(), Found(targets, **found), Job(), landmarks=landmarks, tight=tight
+    )
 
 
 def shows(person: Person, reading: PoseReading) -> bool:
