@@ -1,4 +1,4 @@
-"""A tiny index of drawn stick figures, an application over it and a server process."""
+"""The tiny index of drawn stick figures and the one that ships, and services over both."""
 
 import os
 import subprocess

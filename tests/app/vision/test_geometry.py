@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from app.vision.geometry import (
     Box,
     PersonWindow,
     crop,
+    crop_and_resize,
     iou_matrix,
     non_max_suppression,
     sample_window,
@@ -107,3 +108,21 @@ def test_window_of_whole_pixels_is_a_crop(left: int, top: int, pixels: int) -> N
     frame = noise(90, 120)
     expected = padded_crop(frame, left, top, pixels, pixels)
     assert_array_equal(sample_window(frame, window_of_pixels(left, top, pixels), pixels), expected)
+
+
+@given(
+    left=st.integers(-500, 90), top=st.integers(-500, 90),
+    columns=st.integers(60, 900), rows=st.integers(60, 900),
+)  # fmt: skip
+def test_large_crops_are_accurate_to_a_pixel(left: int, top: int, columns: int, rows: int) -> None:
+    image = np.full((80, 100, 3), 255, np.uint8)
+    # Slivers thinner than a pixel of the result may show or not.
+    assume(min(left + columns, 100) - max(left, 0) > columns / 48)
+    assume(min(top + rows, 80) - max(top, 0) > rows / 64)
+    expected, found = (
+        crop_and_resize(image, (left, top, columns, rows), 48, 64, max_crop_px)[..., 0] > 127
+        for max_crop_px in (2**22, 0)
+    )
+    assert found.shape == expected.shape
+    for axis in (0, 1):
+        assert abs(found.any(axis=axis).sum() - expected.any(axis=axis).sum()) <= 2

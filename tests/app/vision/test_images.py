@@ -14,7 +14,7 @@ from PIL import Image
 
 from app.vision.images import ImageError, ImageTooLargeError, Photograph, blank_image, decode_image
 from app.vision.masks import decode_mask
-from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, with_orientation
+from tests.app.vision.encoded import UPRIGHT, encode, png, quadrants, tiff, with_orientation
 
 LIMIT = 1_000_000
 
@@ -266,3 +266,17 @@ def test_range_of_16_bits_that_is_used_is_stretched(low: int, high: int) -> None
         decoded = decode_image(encode(stored, extension), max_pixels=LIMIT)
         assert decoded.warnings == ("stretched",)
         assert np.abs(decoded.pixels[..., 0] - 255 * grey).max() < 4
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_tiff_that_lacks_strips_says_so(samples: int) -> None:
+    picture = photograph(64)[..., :samples]
+    rows = [row.tobytes() for row in picture[..., ::-1]]
+    for lost, warnings in ((0, ()), (16, ("truncated",))):
+        stored = b"".join(rows[: 64 - lost])
+        decoded = decode_image(tiff(stored, 64, 64, samples=samples, rows=16), max_pixels=LIMIT)
+        assert decoded.warnings == warnings
+        assert (decoded.pixels[: 64 - lost] == picture[: 64 - lost]).all()
+    for stored in (b"", rows[0]):
+        with pytest.raises(ImageError, match="most of it is missing"):
+            decode_image(tiff(stored, 64, 64, samples=samples, rows=16), max_pixels=LIMIT)

@@ -96,11 +96,6 @@ class TestMalformedClip:
         assert said in message
         assert f"line {number + 1}" in message or said == "not finite"
 
-    @pytest.mark.parametrize("content", [None, b"\x89PNG\r\n\x1a\n\x00\xff\xfe"])
-    def test_no_bvh_at_all(self, clip: Path, content: bytes | None) -> None:
-        clip.unlink() if content is None else clip.write_bytes(content)
-        self.fails(clip)
-
     @pytest.mark.parametrize("keep", [0.0, 0.01, 0.3, 0.8])
     def test_truncated(self, clip: Path, keep: float) -> None:
         text = clip.read_text()

@@ -32,23 +32,6 @@ def draw(
     return silhouette, placed
 
 
-def sphere(radius: float, rings: int = 48) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Triangles counter-clockwise seen from outside."""
-    polar = np.linspace(0, np.pi, rings + 1)
-    around = np.linspace(0, 2 * np.pi, 2 * rings, endpoint=False)
-    theta, phi = np.meshgrid(polar, around, indexing="ij")
-    points = radius * np.stack(
-        [np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)], axis=-1
-    )
-    number = np.arange(points.size // 3).reshape(theta.shape)
-    a, b = number[:-1], number[1:]
-    c, d = np.roll(a, -1, axis=1), np.roll(b, -1, axis=1)
-    triangles = np.concatenate(
-        [np.stack([a, b, d], -1).reshape(-1, 3), np.stack([a, d, c], -1).reshape(-1, 3)]
-    )
-    return points.reshape(-1, 3), triangles
-
-
 @pytest.fixture(scope="module")
 def person(poses: Poses, avatars: list[Avatar]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """A posed box body."""
@@ -58,21 +41,6 @@ def person(poses: Poses, avatars: list[Avatar]) -> tuple[NDArray[np.float32], ND
         avatar.vertices, avatar.influences, avatar.weights, transforms.astype(np.float32)
     )
     return vertices, avatar.triangles
-
-
-@pytest.mark.parametrize("view", VIEWS)
-@pytest.mark.parametrize("distance", [1.5, 5.0, 100.0])
-def test_sphere_is_a_disc(view: tuple[float, float, float], distance: float) -> None:
-    silhouette, (scale, offset_x, offset_y) = draw(*sphere(0.5), view, distance)
-    # It fills the width, whatever the distance, about the middle of the frame.
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    radius = np.hypot(x - (WIDTH - 1) / 2, y - (HEIGHT - 1) / 2)
-    assert silhouette[radius < WIDTH / 2 - 1].all()
-    assert not silhouette[radius > WIDTH / 2 + 0.5].any()
-    # The apparent radius of a sphere seen in perspective, in the plane through its centre.
-    apparent = 0.5 / np.sqrt(1 - (0.5 / distance) ** 2)
-    assert scale == pytest.approx(WIDTH / 2 / apparent, rel=0.01)
-    assert_allclose((offset_x, offset_y), ((WIDTH - 1) / 2, (HEIGHT - 1) / 2), atol=0.3)
 
 
 @pytest.mark.parametrize("view", VIEWS)

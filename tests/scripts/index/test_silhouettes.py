@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -30,19 +28,3 @@ def test_returns_what_it_was_given(noise: np.ndarray, count: int) -> None:
 def test_refuses_what_is_not_there(noise: np.ndarray, number: int) -> None:
     with pytest.raises(IndexError, match=f"below 100, got {number}"):
         compress(noise).take([number])
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "message"),
-    [
-        ("data", np.zeros(5, np.uint8), "bytes of silhouettes, got 5"),
-        ("data", np.zeros((2, 2), np.uint8), "expected data of silhouettes as a row"),
-        ("ends", np.zeros(3, np.int64), "ascending ends"),
-        ("ends", np.zeros(0, np.int64), "ascending ends"),
-        ("step", 3, "every or every second pixel"),
-        ("dictionary", np.zeros(3, np.int64), "expected dictionary of silhouettes as a row"),
-    ],
-)
-def test_parts_must_fit(noise: np.ndarray, field: str, value: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        dataclasses.replace(compress(noise), **{field: value})

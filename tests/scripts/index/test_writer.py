@@ -128,10 +128,6 @@ class TestWhatIsNoIndex:
             (photographs / "manifest.json").write_text(manifest)
         self.refused(toy_index, photographs, "3 other" if manifest is None else "4 other", "0.jpg")
 
-    def test_photographs_in_an_index(self, toy_index: PoseIndex, saved: Path) -> None:
-        (saved / "holiday.jpg").write_bytes(b"sun")
-        self.refused(toy_index, saved, "holds 1 other file, such as holiday.jpg")
-
 
 class TestFailedSave:
     @pytest.mark.parametrize("written", ["write_text", "write_bytes"])

@@ -1,19 +1,6 @@
 """What make bench asks and writes; nothing here is timed."""
 
-import itertools
-from functools import partial
-
-from scripts.load.bench import interleaved, summary
-
-
-def test_tasks_take_turns_round_by_round() -> None:
-    done: list[str] = []
-    spent = itertools.count()
-    tasks = {name: (partial(done.append, name), lambda: next(spent)) for name in "ab"}
-    times = interleaved(tasks, rounds=2, repeats=3)
-    assert "".join(done) == "aaabbb" * 2
-    assert {name: len(one) for name, one in times.items()} == {"a": 6, "b": 6}
-    assert {core_ms for one in times.values() for _, core_ms in one} == {1000}
+from scripts.load.bench import summary
 
 
 def test_figures_a_person_need_people() -> None:
