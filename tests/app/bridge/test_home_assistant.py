@@ -52,7 +52,7 @@ def ward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Ward]:
     monkeypatch.setattr(module, "_RETRY_AFTER_S", 0.1)
     broker = Broker(tmp_path)
     home = HomeAssistant(
-        urlsplit(broker.address), "ward.1", None, lambda event: b"of " + event.encode()
+        urlsplit(broker.address), "ward.1", replay=lambda event: b"of " + event.encode()
     )
     outbox, stopping = Outbox("ward.1", ["mqtt"]), threading.Event()
     work = (outbox, stopping, "mqtt", home.send, home.keep)
