@@ -9,6 +9,7 @@ RUN python -m venv /srv/.venv
 COPY LICENSE LICENSE
 COPY NOTICE NOTICE
 COPY pyproject.toml ./
+COPY README.md README.md
 COPY constraints.txt constraints.txt
 COPY app app
 COPY descriptor descriptor

@@ -14,12 +14,13 @@ BUILD := .venv-build
 NEWEST := .venv-newest
 # MediaPipe wants another NumPy and another OpenCV than the service.
 PEER := .venv-peer
+RELEASE := .venv-release
 REVISION := $(shell git rev-parse --short HEAD 2>/dev/null || echo unknown)
 
 # pip is held to the versions that were tested; `make constraints` writes them.
 PIP_INSTALL = pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
-.PHONY: run test coverage test-all test-newest mutants check format index reranker paper evaluate bench results openapi constraints clean
+.PHONY: run test coverage test-all test-newest mutants check format index reranker paper evaluate bench results openapi constraints release clean
 
 run: $(RUN)/.stamp
 	POSE_REVISION=$${POSE_REVISION:-$(REVISION)} exec $(RUN)/bin/python -m app
@@ -97,6 +98,19 @@ constraints:
 	(head -n 2 $@.txt; $(NEWEST)/bin/pip freeze --all --exclude-editable --exclude pip --exclude setuptools) > $@.new
 	mv $@.new $@.txt
 
+# The wheel, and a bill of materials (CycloneDX) of what it installs, in dist.
+release:
+	rm -rf dist build
+	@$(PYTHON) -m venv --clear $(RELEASE)
+	@$(RELEASE)/bin/pip install --quiet --disable-pip-version-check cyclonedx-bom==7.5.0
+	$(RELEASE)/bin/pip wheel --quiet --no-deps --wheel-dir dist .
+	@$(PYTHON) -m venv --without-pip build/installed
+	@$(RELEASE)/bin/pip --python build/installed/bin/python install --quiet \
+	  --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	$(RELEASE)/bin/cyclonedx-py environment build/installed/bin/python --pyproject pyproject.toml \
+	  --output-reproducible --output-file dist/silhouette-pose.cdx.json
+	cd dist && sha256sum *.whl *.json > SHA256SUMS
+
 $(RUN)/.stamp: pyproject.toml constraints.txt
 	@echo "Once: setting up $(RUN) with what serving needs, from PyPI (about 20 s)"
 	@$(PYTHON) -m venv $(RUN)
@@ -126,6 +140,6 @@ $(BUILD)/.stamp: pyproject.toml constraints.txt
 
 # All that the targets above and `pip install .` leave behind; no other file is touched.
 clean:
-	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) $(PEER) build dist *.egg-info \
+	rm -rf $(RUN) $(DEV) $(BUILD) $(NEWEST) $(PEER) $(RELEASE) build dist *.egg-info \
 	  .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage mutants
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

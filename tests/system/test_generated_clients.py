@@ -54,6 +54,7 @@ def calls(photo: Photo, tmp_path_factory: pytest.TempPathFactory) -> dict[str, t
         "track_frame": (camera, "TrackUpload", {**upload, "timestamp": 1.0}),
         "get_camera": (camera,),
         "list_camera_events": (camera,),
+        "replay_event": (camera,),
         "list_cameras": ({},),
         "forget_camera": (camera,),
         "analyse_sequence": ({}, "VideoUpload", {"video": video}),
@@ -78,6 +79,8 @@ def check(answers: dict[str, Any], photo: Photo) -> None:
     assert "generated" in [camera.camera_id for camera in answers["list_cameras"].cameras]
     for name in ("draw_pose", "extract_silhouettes", "get_entry_silhouette"):
         assert content(answers[name]).startswith(b"\x89PNG")
+    replay = answers["replay_event"]
+    assert (replay.event.event, replay.zones[0].name) == ("entered", "wall")
     sequence = answers["analyse_sequence"]
     assert (sequence.end.reason, sequence.end.frames) == ("complete", 3), sequence.end.detail
     assert [frame.video_frame for frame in sequence.frames] == [0, 1, 2]
@@ -123,6 +126,9 @@ def test_openapi_python_client_calls_every_route(
             parameters = {**parameters, "body": getattr(load("models"), model)(**fields)}
             if model == "CameraConfiguration":
                 parameters["body"] = load("models").CameraConfiguration.from_dict(fields)
+        if name == "replay_event":
+            event_id = answers["list_camera_events"].events[0].id
+            parameters = {**parameters, "event_id": event_id}
         operation = load(f"api.{operations()[name][0]}.{name}")
         answer = operation.sync_detailed(client=client, **parameters)
         assert answer.status_code in (200, 204), name

@@ -24,7 +24,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"  # A build leaves files beside what it builds.
     source.mkdir()
-    for file in ("LICENSE", "NOTICE", "pyproject.toml"):
+    for file in ("LICENSE", "NOTICE", "README.md", "pyproject.toml"):
         shutil.copy(ROOT / file, source)
     for package in ("app", "descriptor", "index"):
         shutil.copytree(ROOT / package, source / package)
