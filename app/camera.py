@@ -102,6 +102,8 @@ class CameraSession:
     """
 
     def __init__(self, estimator: Estimator, clock: Callable[[], float] = time.monotonic) -> None:
+        self.zones: Sequence[Zone] = ()
+        """In pixels of the frame as sent; they may change between frames."""
         self._estimator = estimator
         self._clock = clock
         self._detector = TrackedPeopleDetector(estimator.finder)
@@ -132,7 +134,6 @@ class CameraSession:
         n: int = DEFAULT_HYPOTHESES,
         job: Job | None = None,
         evidence: Evidence = "photograph",
-        zones: Sequence[Zone] = (),
         *,
         drawn: bool = True,
     ) -> TrackedFrame:
@@ -141,10 +142,10 @@ class CameraSession:
         If ``n`` is 0, people get no hypotheses and no smooth pose, and only people without
         landmarks are matched; everything else is the same as for other ``n``. The timestamp is in
         seconds; without one, the session's clock gives the time since the frame before. If the job
-        raises, the next frame reports the events of this one. Zones may change between frames;
-        ``evidence`` is that of :meth:`app.photograph.Estimator.estimate`. Unless silhouettes are to
-        be ``drawn`` in every frame, that of a person who is surely read is drawn and matched every
-        0.4 s; in between, it and the hypotheses move along with the landmarks.
+        raises, the next frame reports the events of this one. ``evidence`` is that of
+        :meth:`app.photograph.Estimator.estimate`. Unless silhouettes are to be ``drawn`` in every
+        frame, that of a person who is surely read is drawn and matched every 0.4 s; in between, it
+        and the hypotheses move along with the landmarks.
 
         Raises
         ------
@@ -161,12 +162,12 @@ class CameraSession:
         empty = self._still_empty(upload, timestamp, evidence, job)
         if empty is not None:
             self._watch(timestamp, empty.shape)
-            return self._answered(empty.shown(zones), timestamp, arrived, (), job)
+            return self._answered(empty.shown(self.zones), timestamp, arrived, (), job)
         half_of = self._halved_shape(upload, evidence)
         decoded = self._estimator.decode(upload, job, half_of=half_of)
         frame, rectification = decoded.frame, decoded.rectification
-        warnings = (*decoded.warnings, *_warnings(zones, decoded.sent.shape))
-        zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in zones]
+        warnings = (*decoded.warnings, *_warnings(self.zones, decoded.sent.shape))
+        zones = [replace(zone, polygon=rectification.points(zone.polygon)) for zone in self.zones]
         self._start_afresh_if_needed(rectification, timestamp)
         if self._asked != (n, upload.optics):
             self._asked = n, upload.optics

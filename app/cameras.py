@@ -226,13 +226,13 @@ class CameraSessions:
         if opened is None:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
+            opened.session.zones = settings.zones
             frame = opened.session.process(
                 settings.of(upload),
                 timestamp,
                 wanted.n,
                 job,
                 wanted.evidence,
-                settings.zones,
                 drawn=wanted.drawn,
             )
             raised = tuple(

@@ -291,8 +291,9 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
             file = file[: len(file) * 2 // 3]
         pixels = decode(Upload(file), Job()).frame
         zones = [Zone("far", "watch", np.array([[900.0, 0], [950, 0], [950, 50]]))] * (step > 85)
+        by_file.zones = by_pixels.zones = zones
         one, other = (
-            session.process(Upload(frame), step / 5, 0, Job(), zones=zones)
+            session.process(Upload(frame), step / 5, 0, Job())
             for session, frame in ((by_file, file), (by_pixels, pixels))
         )
         for name in ("frame_index", "timestamp", "session", "events"):
