@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from tests.app.bridge.test_watch import Running, bridge
 from tests.conftest import ROOT
 from tests.support.broker import MOSQUITTO, Broker
 from tests.support.ports import free_ports
+from tests.support.programs import none_left_running
 from tests.support.service import eventually
 
 __all__ = ["bridge"]
@@ -44,6 +45,13 @@ AUTOMATION = {
         },
     },
 }
+
+
+@pytest.fixture(autouse=True)
+def _ended() -> Iterator[None]:
+    """A failed run leaves no program behind."""
+    with none_left_running():
+        yield
 
 
 class HomeAssistant:
