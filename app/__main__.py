@@ -27,8 +27,6 @@ from index.artefact import load_index
 from index.store import PoseIndex
 
 SHUTDOWN_GRACE_S = 15
-# This is longer than the interval of a camera that sends a frame a minute.
-KEEP_ALIVE_S = 65
 
 
 def main() -> None:
@@ -73,6 +71,7 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
     # for both.
     host = "" if settings.host == "::" and settings.workers == 1 else settings.host
     create = partial(create_app, settings, read_index=read_index)
+    # This is longer than the interval of a camera that sends a frame a minute.
     uvicorn.run(
         create if settings.workers == 1 else "app.main:create_app",
         factory=True,
@@ -82,7 +81,7 @@ def serve(settings: Settings, read_index: Callable[[], PoseIndex] | None = None)
         http=HttpProtocol,
         ws="none",
         timeout_graceful_shutdown=SHUTDOWN_GRACE_S,
-        timeout_keep_alive=KEEP_ALIVE_S,
+        timeout_keep_alive=65,
         server_header=False,
         log_config=log_config(settings.log_level),
     )

@@ -37,12 +37,6 @@ TRACK_BYTES = 145_000
 
 # After a longer gap the scene may be another one.
 _MAX_GAP_S = 10.0
-# A frame that is late by more than this was not overtaken by another one: the clock was set, or an
-# earlier timestamp was wrong.
-_MAX_LATE_S = 5.0
-# Time without a sighting after which a track is dropped; longer for people hidden behind others and
-# for people lost away from the frame's border.
-_DROPPED_AFTER_S = 0.5
 
 
 class LateFrameError(ValueError):
@@ -277,7 +271,9 @@ class CameraSession:
             if self._frames == 0:
                 return 0.0
             return self._timestamp + max(MIN_STEP_S, arrived - self._arrived)
-        begins_afresh = timestamp < self._timestamp - _MAX_LATE_S
+        # A frame that is late by more than this was not overtaken by another one: the clock was
+        # set, or an earlier timestamp was wrong.
+        begins_afresh = timestamp < self._timestamp - 5.0
         if not (begins_afresh or timestamp >= self._timestamp + MIN_STEP_S):
             raise LateFrameError(
                 f"expected a timestamp after {self._timestamp:.15g} s, that of the camera's "
@@ -422,7 +418,9 @@ class CameraSession:
             # Found by the detector, and last seen where nobody leaves the frame.
             vanished = track.last.next_window is not None and not may_have_left(place, frame.shape)
             predicted = hidden or (named and vanished)
-            longest = PREDICTED_FOR_S if predicted else _DROPPED_AFTER_S
+            # Time without a sighting after which a track is dropped; longer for people hidden
+            # behind others and for people lost away from the frame's border.
+            longest = PREDICTED_FOR_S if predicted else 0.5
             if timestamp - track.place.seen_at > longest:
                 covered = track.place.covered_share(place, self._named_places(), timestamp)
                 events, stays = track.lose(frame, timestamp, alone=covered == 0)

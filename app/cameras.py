@@ -19,8 +19,6 @@ from app.tracking.results import Event, TrackedFrame
 from app.tracking.zones import Zone
 from app.vision.optics import UNKNOWN_OPTICS, Optics
 
-KEPT_EVENTS = 100  # For each camera.
-
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, by one of the limits, or because the index was replaced."""
 
@@ -248,7 +246,8 @@ class CameraSessions:
                     self._on_change(None)
                 # Unless the camera was forgotten meanwhile.
                 if self._open.get(key) is opened:
-                    self._events.setdefault(key, deque(maxlen=KEPT_EVENTS)).extend(frame.events)
+                    # For each camera.
+                    self._events.setdefault(key, deque(maxlen=100)).extend(frame.events)
                 self._shrink()
         finally:
             opened.busy = False

@@ -185,21 +185,19 @@ def _format(source: str | IO[bytes]) -> str | None:
     return "mjpeg" if _head(source).lstrip().startswith(b"--") else None
 
 
-# Among tracks of one size, a track is empty if its bit rate is below this share of the highest.
-_EMPTY_SHARE = 0.1
-
-
 def _main_stream(streams: list[VideoStream]) -> VideoStream:
     """The largest track: not a cover picture, which may lack its mark, nor a black one."""
     most = max(one.bit_rate or 0 for one in streams)
 
     def rank(stream: VideoStream) -> tuple[float, ...]:
         rate = stream.bit_rate or 0
+        # Among tracks of one size, a track is empty if its bit rate is below this share of the
+        # highest.
         return (
             not stream.disposition & Disposition.attached_pic,
             stream.frames != 1,
             stream.width * stream.height,
-            rate >= _EMPTY_SHARE * most,
+            rate >= 0.1 * most,
             bool(stream.disposition & Disposition.default),
             rate,
         )

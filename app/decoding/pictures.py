@@ -20,7 +20,6 @@ Decoded = tuple[NDArray[Any], tuple[Any, ...]]
 # Processor time for the pictures of one upload, while a small frame may be waiting for the thread.
 # Sound ones of 12 megapixels take up to 1 s.
 _MAX_SECONDS = 2.0
-_LEAST_SECONDS = 0.01  # A timer of 0 s never ends.
 _LIFETIME_S = 600  # Processor time of a process, after which another one takes its place.
 # Address space of a process: 70 MB at rest, of which 26 MB are in memory. A file may be there
 # twice. A transparent WebP takes 28 bytes for each pixel, other files less.
@@ -124,7 +123,8 @@ class _Worker:
                     found, values = program.receive(most, checkpoint)
         except (BrokenOffError, BrokenPipeError):
             raise ImageError(self._given_up()) from None
-        allowance.seconds = max(_LEAST_SECONDS, allowance.seconds - found["seconds"])
+        # A timer of 0 s never ends.
+        allowance.seconds = max(0.01, allowance.seconds - found["seconds"])
         self._seconds += found["seconds"]
         self.is_usable = self._seconds < _LIFETIME_S
         if "error" in found:

@@ -102,9 +102,6 @@ class Found:
         return self.source in ("boxes", "mask")
 
 
-# In rendered groups, the share of possible people beside others who are real, given that a separate
-# reading shows another body.
-_READ_BESIDE_SCORE = 0.8
 # Share of a job's time in which people are read: their masks and poses take as long again.
 _READ_UNTIL = 0.4
 
@@ -287,9 +284,9 @@ class PeopleFinder:
         shows = [kept.index(best[row]) if row in best else None for row in range(len(targets))]
         # Two detections with readings of the same body may still be two people.
         hidden = [targets[row] for row in best if row not in kept and not targets[row].followed]
-        hidden += [
-            Target(replace(one, score=max(one.score, _READ_BESIDE_SCORE))) for one in perhaps_beside
-        ]
+        # In rendered groups, the share of possible people beside others who are real, given that a
+        # separate reading shows another body.
+        hidden += [Target(replace(one, score=max(one.score, 0.8))) for one in perhaps_beside]
         return bodies + self._read_beside(upload, hidden, bodies, job), shows
 
     def _read_beside(

@@ -65,9 +65,6 @@ def _read(file: Path) -> str:
 # for the next one, which costs more than decoding it.
 _MALLOC_OPTIONS = {-1: 8 * 1024**2, -3: 8 * 1024**2, -8: 2}
 
-# Longest time a thread holds the interpreter while another waits for it. The event loop's thread
-# waits after every system call, several times a request; Python's default is 5 ms.
-_SWITCH_INTERVAL_S = 0.001
 
 _NICENESS = 5  # Of threads that work on frames: every client waits for the one that answers.
 
@@ -79,7 +76,9 @@ def configure_process() -> None:
     # glibc reads its environment variables before Python can set them.
     for option, value in _MALLOC_OPTIONS.items():
         _call_glibc("mallopt", option, value)
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
+    # Longest time a thread holds the interpreter while another waits for it. The event loop's
+    # thread waits after every system call, several times a request; Python's default is 5 ms.
+    sys.setswitchinterval(0.001)
     cv2.setNumThreads(1)  # The executor's threads share the work already.
 
 

@@ -108,9 +108,6 @@ def _checked(labels: Labels, lossy: bool) -> LabelImage:
     return _of_figures(image)
 
 
-_LOSSY_CHANNEL_DIFFERENCE = 16  # Channels of a lossy grey image differ by up to this.
-
-
 def _values(data: bytes, header: Image.Image, lossy: bool) -> Labels:
     """The values of a mask, or its alpha channel if everything visible has one colour."""
     rgba = read_stored(data, "RGBA") if header.has_transparency_data else None
@@ -125,7 +122,8 @@ def _values(data: bytes, header: Image.Image, lossy: bool) -> Labels:
     pixels = decode_pixels(data, header, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
     if rgba is not None:
         pixels[alpha == 0] = 0
-    values = _one_channel(pixels, _LOSSY_CHANNEL_DIFFERENCE if lossy else 0)
+    # Channels of a lossy grey image differ by up to this.
+    values = _one_channel(pixels, 16 if lossy else 0)
     if header.mode == "L":
         # 2 and 4 bits are stretched to 0..255.
         values = values // {2: 85, 4: 17}.get(bits_of(header, data), 1)

@@ -184,11 +184,6 @@ def keypoint_window(box: Box) -> tuple[PixelRect, int, int]:
 CELL_PX = 4
 """Pixels of the input per heatmap cell, each way."""
 
-MIN_KEYPOINT_SCORE = 0.127
-"""Score below which keypoints are left out of a person's score, as in Google's graph."""
-
-_MIN_CENTRE_SCORE = 0.03
-
 
 def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
@@ -199,7 +194,7 @@ def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))
-    is_peak = (centres >= highest - 1e-6) & (centres >= _MIN_CENTRE_SCORE)
+    is_peak = (centres >= highest - 1e-6) & (centres >= 0.03)
     rows, columns = np.nonzero(is_peak)
     # Most people found in one pass of the network.
     order = np.argsort(-centres[rows, columns], kind="stable")[:60]
@@ -228,7 +223,8 @@ def _decode_person(
     at, scores = _heatmap_peaks(inside, first, guess, 0.3 * cells.min())
     which = np.arange(_KEYPOINTS)
     refined = at + refinements[at[:, 0], at[:, 1]].reshape(_KEYPOINTS, _KEYPOINTS, 2)[which, which]
-    visible = scores > MIN_KEYPOINT_SCORE
+    # Score below which keypoints are left out of a person's score, as in Google's graph.
+    visible = scores > 0.127
     mean = float(scores[visible].mean()) if visible.any() else 0.0
     centre = float(centres[row, column, 0])
     top, left, bottom, right = (float(CELL_PX * edge - 0.5) for edge in (*low, *high))

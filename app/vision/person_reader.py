@@ -199,8 +199,6 @@ _LIMB_ENDS = [
     *map(coco_rows, ("shoulder", "hip")),
     *(ends for limb in _LIMBS for ends in zip(*map(coco_rows, limb), strict=True)),
 ]
-# Distance from the limbs up to which a body reaches, in sizes of the body.
-_FLESH = 0.2
 
 
 def without_bodies(
@@ -229,7 +227,8 @@ def without_bodies(
     for other in others:
         seen = other.landmarks.visibility[COCO_LANDMARKS] > MIN_SEEN
         theirs = distances(other.landmarks.positions[COCO_LANDMARKS], seen)
-        hidden |= (theirs <= own) & (theirs <= _FLESH * scale * other.body_px)
+        # Distance from the limbs up to which a body reaches, in sizes of the body.
+        hidden |= (theirs <= own) & (theirs <= 0.2 * scale * other.body_px)
     shown = part.shape[1::-1]
     enlarged = cv2.resize(hidden.view(np.uint8), shown, interpolation=cv2.INTER_NEAREST)
     cv2.copyTo(np.full_like(part, 127), enlarged, part)
@@ -248,9 +247,6 @@ def _distance_to_limbs(
     for row in np.flatnonzero(seen):
         cv2.circle(off_limb, ends[row], 2, 0, -1)
     return np.asarray(cv2.distanceTransform(off_limb, cv2.DIST_L2, 3), np.float32)
-
-
-_HIPS_TO_FEET = 1.7  # Distance from hips to feet, relative to the trunk.
 
 
 def window_beyond_border(
@@ -274,7 +270,8 @@ def window_beyond_border(
         return [PersonWindow.about_circle(hips, hips + (hips - ankles))]
     top = nose if shoulders is None else shoulders
     assert top is not None
-    return [PersonWindow.about_circle(hips, hips + _HIPS_TO_FEET * (top - hips))]
+    # Distance from hips to feet, relative to the trunk.
+    return [PersonWindow.about_circle(hips, hips + 1.7 * (top - hips))]
 
 
 _MIN_SCORE = 0.15  # Score from which keypoints show the direction of the trunk, and limbs.
@@ -305,8 +302,6 @@ def _mean_position(
 AGREEMENT_DISTANCE = 0.15
 """Distance, in sizes of the body, up to which a keypoint and its landmark agree."""
 
-# Agreement from which MoveNet need not look at the next frame.
-_SURE_AGREEMENT = 0.9
 
 # Only the nose represents the face.
 _COMPARED = [row for row in range(len(COCO_NAMES)) if row not in coco_rows("eye", "ear")]
@@ -369,7 +364,8 @@ class Seen:
         keypoints = reading.keypoints
         if keypoints is None or not reading.trust.is_right:
             return None
-        if agreement(reading, keypoints) < _SURE_AGREEMENT:
+        # Agreement from which MoveNet need not look at the next frame.
+        if agreement(reading, keypoints) < 0.9:
             return None
         to_frame = reading.window.to_frame(LANDMARK_PX)
         points = reading.network_pass.points[COCO_LANDMARKS, :2].astype(np.float64)
@@ -383,14 +379,11 @@ class Seen:
         return replace(self.before, positions=positions + reading.body_px * self.apart)
 
 
-# Weight of a keypoint of score 1, relative to the landmark with which it agrees.
-_KEYPOINT_WEIGHT = 2.0
-
-
 def fuse(reading: PoseReading, keypoints: ObservedKeypoints) -> PoseReading:
     """Move landmarks towards the keypoints of MoveNet that agree with them."""
     agrees = _distances(reading, keypoints) < AGREEMENT_DISTANCE
-    weights = _KEYPOINT_WEIGHT * keypoints.scores * agrees
+    # Weight of a keypoint of score 1, relative to the landmark with which it agrees.
+    weights = 2.0 * keypoints.scores * agrees
     positions = reading.landmarks.positions.copy()
     shares = (weights / (1 + weights))[:, None]
     positions[COCO_LANDMARKS] += shares * (keypoints.positions - positions[COCO_LANDMARKS])

@@ -15,10 +15,6 @@ from app.vision.masks import MIN_FILL, LabelImage, cleaned
 from app.vision.people import Silhouette, landmark_rows, silhouette_from_mask
 from app.vision.truncation import extended_to_border, with_truncation
 
-# Mean distance, in sizes of the body, up to which landmarks that moved against each other since a
-# silhouette was drawn leave it as it is.
-_SAME_SHAPE = 0.1
-
 
 @dataclass(frozen=True)
 class DrawnSilhouette:
@@ -35,7 +31,9 @@ class DrawnSilhouette:
         old, (height, width) = self.silhouette, frame_shape[:2]
         before, now = self.positions, reading.landmarks.positions
         apart = (now - now.mean(axis=0)) - (before - before.mean(axis=0))
-        changed = np.linalg.norm(apart, axis=1).mean() > _SAME_SHAPE * reading.body_px
+        # Mean distance, in sizes of the body, up to which landmarks that moved against each other
+        # since a silhouette was drawn leave it as it is.
+        changed = np.linalg.norm(apart, axis=1).mean() > 0.1 * reading.body_px
         if changed or old.truncated:
             return None
         low, high = now.min(axis=0) - before.min(axis=0), now.max(axis=0) - before.max(axis=0)
@@ -100,8 +98,6 @@ _EARS, _SHOULDERS = landmark_rows("ear"), landmark_rows("shoulder")
 # Landmarks of at least this visibility widen a box, by a margin that is a share of its longer side.
 _MIN_VISIBILITY = 0.5
 _LANDMARK_MARGIN = 0.04
-# Distance from the ears to the crown, relative to that from the shoulders to the ears.
-_SHOULDERS_TO_CROWN = 0.7
 
 
 def _with_landmarks(box: Box, reading: PoseReading) -> Box:
@@ -114,7 +110,8 @@ def _with_landmarks(box: Box, reading: PoseReading) -> Box:
         ears, shoulders = (
             reading.landmarks.positions[rows].mean(0) for rows in (_EARS, _SHOULDERS)
         )
-        positions = np.vstack([positions, ears + _SHOULDERS_TO_CROWN * (ears - shoulders)])
+        # Distance from the ears to the crown, relative to that from the shoulders to the ears.
+        positions = np.vstack([positions, ears + 0.7 * (ears - shoulders)])
     margin = _LANDMARK_MARGIN * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()
     right, bottom = (positions.max(axis=0) + margin).tolist()
@@ -136,9 +133,7 @@ def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:
     return extended_to_border(inside, frame_shape)
 
 
-_MAX_SIDE_PX = 384  # Largest size at which masks are drawn and cleaned.
 _MIN_PROBABILITY = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
-_MIN_COVER = 0.5  # Least share of a person's pixel that the drawn mask covers.
 
 
 def _cut_out(
@@ -152,7 +147,8 @@ def _cut_out(
     """
     left, top, right, bottom = region.pixels()
     width, height = right - left, bottom - top
-    scale = min(1.0, _MAX_SIDE_PX / max(width, height))
+    # Largest size at which masks are drawn and cleaned.
+    scale = min(1.0, 384 / max(width, height))
     size = max(1, round(width * scale)), max(1, round(height * scale))
     # From pixels as drawn to pixels of the frame.
     to_frame = np.array(
@@ -167,7 +163,8 @@ def _cut_out(
         theirs = _probability(rival, to_frame, size)
         mask &= own > theirs if wins_ties else own >= theirs
     mask = cleaned(mask, max_hole=0.01)
-    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= _MIN_COVER
+    # Least share of a person's pixel that the drawn mask covers.
+    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= 0.5
     if np.count_nonzero(inside) < MIN_FILL * inside.size:
         return None
     return silhouette_from_mask(inside, left=left, top=top, segmenter="network")

@@ -49,11 +49,6 @@ def extended_to_border(box: Box, frame_shape: tuple[int, ...]) -> Box:
     return Box.from_edges(*np.where(near, edges, sides).tolist())
 
 
-# A silhouette is cut if it touches an edge with more than this share of its extent along the edge:
-# a shoe that just reaches the last row is not cut.
-_MIN_BORDER_RUN = 0.1
-
-
 def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool:
     """Whether a silhouette runs along the frame's border."""
     crop = silhouette.crop
@@ -61,8 +56,10 @@ def touches_border(silhouette: Silhouette, frame_shape: tuple[int, ...]) -> bool
     near = 0.0 if is_exact else max(1.0, _SILHOUETTE_SHARE * max(crop.shape))
     # The crop as seen from each edge; the first columns are nearest to it.
     views = (crop, crop.T, crop[:, ::-1], crop.T[:, ::-1])
+    # A silhouette is cut if it touches an edge with more than this share of its extent along the
+    # edge: a shoe that just reaches the last row is not cut.
     return any(
-        gap <= near and view[:, : int(near - gap) + 1].any(axis=1).mean() > _MIN_BORDER_RUN
+        gap <= near and view[:, : int(near - gap) + 1].any(axis=1).mean() > 0.1
         for gap, view in zip(gaps_to_border(silhouette.box, frame_shape), views, strict=True)
     )
 
@@ -137,10 +134,6 @@ def with_truncation(
     return result
 
 
-_MAX_COVER = 0.05  # Share of a whole person's box that a nearer person may cover.
-_BOX_FILL = 0.5  # Share of a box that a person without a silhouette fills.
-
-
 def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box]) -> bool:
     """Whether a nearer person, one whose feet are lower in the frame, covers part of this one."""
     box = silhouette.box
@@ -151,8 +144,10 @@ def hidden_by_others(silhouette: Silhouette, others: Sequence[Silhouette | Box])
         if isinstance(other, Silhouette):
             covered = _pixels_inside(other, box)
         else:
-            covered = _BOX_FILL * box.intersection(other_box)
-        if covered > _MAX_COVER * box.area:
+            # Share of a box that a person without a silhouette fills.
+            covered = 0.5 * box.intersection(other_box)
+        # Share of a whole person's box that a nearer person may cover.
+        if covered > 0.05 * box.area:
             return True
     return False
 

@@ -39,7 +39,6 @@ class FakeSession:
         n: int,
         job: Job,
         evidence: str,
-        zones: object,
         *,
         drawn: bool,
     ) -> TrackedFrame:
