@@ -197,8 +197,9 @@ def test_a_window_that_may_show_nobody_has_less_confidence(
     assert [one.confidence for one in doubtful.hypotheses] == pytest.approx(
         [0.4 * one.confidence for one in sure.hypotheses]
     )
-    assert sure.posture is not None and doubtful.posture is not None
-    assert doubtful.posture.probability <= 0.4 * sure.posture.probability + 1e-9
+    assert doubtful.posture is not None
+    # That of the likeliest group, such as all who are upright.
+    assert doubtful.posture.probability <= 0.4
     assert doubtful.posture.label == "unclear"
 
 

@@ -48,9 +48,9 @@ def test_a_person_who_is_let_go_was_alone_if_nobody_is_where_they_were(
 
 def test_pairs_say_who_is_one_person_and_leave_out_whom_two_boxes_may_show() -> None:
     pairs, tracks = Pairs(), [walking(100, 0)]
-    place = tracks[0].box_filter.seen
+    place = tracks[0].place.seen
     away = Box(place.x + 200, place.y, place.width, place.height)
-    pairs.truth = {tracks[0].seen_at: [place, away], 2.0: [place, away]}
+    pairs.truth = {tracks[0].place.seen_at: [place, away], 2.0: [place, away]}
     pairs.add(tracks, [at(100), at(300)], 2.0, {0: tracks[0]})
     assert pairs.rows()[:, 0].tolist() == [1, 0]
     assert pairs.rows()[:, -1].tolist() == [1, 0]
