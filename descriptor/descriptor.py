@@ -164,7 +164,10 @@ def restore(
 ) -> Descriptor:
     """The descriptor that a manifest names, from what its methods of these names returned.
 
-    Raises ValueError if the name is unknown or the parameters do not fit it.
+    Raises
+    ------
+    ValueError
+        If the name is unknown or the parameters do not fit it.
     """
     name = parameters.get("name")
     try:

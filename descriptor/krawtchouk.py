@@ -86,11 +86,20 @@ def moments(
     vertical: NDArray[np.floating],
     horizontal: NDArray[np.floating],
 ) -> NDArray[np.float32]:
-    """Krawtchouk moments ``(B, N, M)`` of silhouettes ``(B, H, W)``.
+    """Krawtchouk moments ``Q[n, m] = sum_yx vertical[n, y] horizontal[m, x] f[y, x]``.
 
-    ``Q[n, m] = sum_yx vertical[n, y] horizontal[m, x] f[y, x]``, with polynomials ``(N, H)`` and
-    ``(M, W)``. Summed in float64: float32 sums differ between processors, and with the size of the
-    batch.
+    Parameters
+    ----------
+    silhouettes : (B, H, W) array
+    vertical : (N, H) array
+        Polynomials along y.
+    horizontal : (M, W) array
+        Polynomials along x.
+
+    Returns
+    -------
+    (B, N, M) float32 array
+        Summed in float64: float32 sums differ between processors, and with the size of the batch.
     """
     rows = vertical @ np.asarray(silhouettes, np.float64)
     return np.asarray(rows @ horizontal.T, np.float32)

@@ -44,12 +44,27 @@ class Placement:
 
 
 def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
-    """Scale a silhouette ``(H, W)``, not 0 on the person, to fill a frame of 128x48, centred.
+    """Scale a silhouette to fill a frame of 128x48, centred, keeping its aspect ratio.
 
-    Its tight bounding box touches the frame at top and bottom, or at left and right where it is
-    wider than 48/128 of its height. Returns ``(128, 48)`` uint8, 1 on the person, and the placement
-    from image pixels to normalised ones. Raises ValueError if the mask has another shape or no
-    pixel set.
+    The tight bounding box of the mask touches the frame at top and bottom, or at left
+    and right where it is wider than 48/128 of its height.
+
+    Parameters
+    ----------
+    mask : (H, W) array of bool or numbers
+        Non-zero on the person.
+
+    Returns
+    -------
+    silhouette : (128, 48) uint8 array
+        1 on the person, 0 elsewhere.
+    placement : Placement
+        Image pixels to normalised pixels and back.
+
+    Raises
+    ------
+    ValueError
+        If the mask is not two-dimensional or has no pixel set.
     """
     if mask.ndim != 2:
         raise ValueError(f"expected a mask of shape (H, W), got shape {mask.shape}")
@@ -76,9 +91,18 @@ def normalise(mask: NDArray[np.generic]) -> tuple[NDArray[np.uint8], Placement]:
 def rotate_silhouette(
     mask: NDArray[np.uint8] | NDArray[np.bool_], angle_deg: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Rotate a silhouette ``(H, W)`` clockwise and normalise it to ``(128, 48)``.
+    """Rotate a silhouette clockwise and normalise it.
 
-    Also returns the affine transform ``(2, 3)`` from its pixels to those of ``mask``.
+    Parameters
+    ----------
+    mask : (H, W) uint8 or bool array
+        0 is background.
+
+    Returns
+    -------
+    rotated : (128, 48) uint8 array
+    inverse : (2, 3) float64 array
+        Affine transform from its pixels to those of ``mask``.
     """
     block = max(1, max(mask.shape) // _LARGEST_PX)
     covered = _averaged(mask != 0, block)

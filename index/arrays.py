@@ -22,7 +22,10 @@ def load_array(content: bytes) -> NDArray[Any]:
 def load_arrays(source: Path | bytes) -> dict[str, NDArray[Any]]:
     """The arrays of an ``.npz`` file, by their names.
 
-    Raises OSError, ValueError, EOFError or BadZipFile if it cannot be read or is something else.
+    Raises
+    ------
+    OSError, ValueError, EOFError, zipfile.BadZipFile
+        If it cannot be read or is something else.
     """
     file = source if isinstance(source, Path) else io.BytesIO(source)
     with _PARSING:

@@ -54,8 +54,12 @@ def load_index(
     """Read and verify an index, and the network beside it if there is one and it is wanted.
 
     Its vectors are searched by ``searched_by``; by default exactly, in this process. ``in_bytes``
-    is that of :class:`index.search.ExactNeighbours`. Raises ArtefactError if it is missing,
-    truncated, altered, or not an artefact of this format.
+    is that of :class:`index.search.ExactNeighbours`.
+
+    Raises
+    ------
+    ArtefactError
+        If it is missing, truncated, altered, or not an artefact of this format.
     """
     path = Path(path)
     manifest = _read_manifest(path)
@@ -98,7 +102,10 @@ def _read_files(path: Path, sha256: dict[str, str]) -> dict[str, Any]:
 def load_reranker(folder: Path) -> RankingModel | None:
     """Read and verify the network beside an index; None if there is none.
 
-    Raises ArtefactError if it is incomplete, altered, or not a network of this format.
+    Raises
+    ------
+    ArtefactError
+        If it is incomplete, altered, or not a network of this format.
     """
     file, weights = folder / RERANKING_JSON, folder / RERANKING_NPZ
     if not file.exists():
@@ -212,7 +219,10 @@ def _read_manifest(path: Path) -> dict[str, Any]:
 def read_array(file: Path, sha256: str) -> NDArray[np.generic]:
     """Read an ``.npy`` file, decompressed if its name ends in ``.xz``, and verify it.
 
-    Raises ArtefactError if the file is missing, truncated, altered or not an array.
+    Raises
+    ------
+    ArtefactError
+        If the file is missing, truncated, altered or not an array.
     """
     content = _read_bytes(file, sha256)
     try:

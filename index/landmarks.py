@@ -74,9 +74,14 @@ class NormalisedLandmarks:
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
     ) -> Agreement:
-        """Compare skeletons with the landmarks: pixels ``(K, 24, 2)`` and metres ``(K, 24, 3)``.
+        """Compare skeletons with the landmarks.
 
-        Both are in the axes of the normalised frame.
+        Parameters
+        ----------
+        points_normalised : (K, 24, 2) array
+            Pixels of the normalised frame.
+        points_3d : (K, 24, 3) array
+            Metres, axes of the normalised frame.
         """
         points = np.asarray(points_normalised, np.float64)
         # Each skeleton beside its twin: (K, 2, P, 2).
@@ -164,8 +169,14 @@ def fused_distances(
 ) -> NDArray[np.float64]:
     """Distances ``(N,)`` of hypotheses from silhouette and landmarks together.
 
-    They follow from the distances between descriptors and the in-plane tilts of the person
-    ``(N,)``.
+    Parameters
+    ----------
+    distances : (N,) float64 array
+        Distances between descriptors.
+    agreement : Agreement
+        Agreement of the hypotheses with the landmarks.
+    tilt_deg : (N,) float64 array
+        In-plane tilt of the person according to each hypothesis.
     """
     # Weight of the log odds of a hypothesis's sides.
     # Few people are tilted in the picture: a tilt of this size makes a hypothesis 1/e as likely.
@@ -185,10 +196,20 @@ def fit_to_landmarks(
     points_3d: NDArray[np.float64],
     points_normalised: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Fit skeletons ``(M, 24, 3)``, the likeliest first, to landmarks; also returns their places.
+    """Fit skeletons to landmarks.
 
-    They are in camera axes and metres about the pelvis, and ``(M, 24, 2)`` pixels of the normalised
-    frame. Bones keep their lengths, and the face moves with the head.
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Camera axes, metres, pelvis at the origin; rows are ``POINT_NAMES``. The likeliest comes
+        first.
+    points_normalised : (M, 24, 2) float64 array
+        Pixels of the normalised frame.
+
+    Returns
+    -------
+    points_3d, points_normalised
+        Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
     moved = _moved_in_depth(landmarks, points_3d)
     blurred = replace(landmarks, sigma_px=_FIT_SIGMA_PX)

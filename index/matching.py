@@ -118,13 +118,21 @@ class PoseHypothesis:
 class Match:
     """The hypotheses of a silhouette, in the order of their rank.
 
-    At least :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit; the first ``k`` do not
-    depend on how many were requested. With landmarks, some of the first seven face the opposite way
-    to the first. ``front_probability`` is the confidence of the voters that face the camera, as a
-    share of that of all. The voters decide the posture, however many were requested: modes, but no
-    alternatives in depth and no twin. ``postures`` ``(10,)`` are the shares of
-    :data:`index.posture.POSTURES` in their votes; of a silhouette alone, if there is a network,
-    their probabilities.
+    Parameters
+    ----------
+    hypotheses : list of PoseHypothesis
+        The likeliest first; see :func:`ranked`. The first ``k`` do not depend on how many were
+        requested. At least :data:`DEFAULT_HYPOTHESES`, but fewer if few distinct poses fit. With
+        landmarks, some of the first seven face the opposite way to the first.
+    front_probability : float
+        Probability that the camera sees the person from the front: the confidence of voters that
+        face it, as a share of the confidence of all. It does not depend on how many were requested.
+    voters : list of PoseHypothesis
+        The hypotheses that decide the posture, however many were requested: modes, but no
+        alternatives in depth and no twin.
+    postures : (10,) float64 array
+        Share of each of :data:`index.posture.POSTURES`: in the votes of the voters, weighted by
+        confidence; of a silhouette alone, if there is a network, their probabilities.
     """
 
     hypotheses: list[PoseHypothesis]
@@ -212,8 +220,11 @@ def with_later_batches(
 ) -> list[PoseHypothesis]:
     """The first batch, and the new poses of as many later ones as ``n`` hypotheses need.
 
-    ``batch`` finds about as many hypotheses as its first argument says; no distance is smaller than
-    its second argument, the largest of earlier batches.
+    Parameters
+    ----------
+    batch : callable
+        Finds about as many hypotheses as its first argument says; no distance is smaller than its
+        second argument, the largest of earlier batches.
     """
     found, size = first, DEFAULT_HYPOTHESES
     while len(found) < n or size < n:

@@ -47,9 +47,12 @@ def milvus_errors() -> Iterator[None]:
 
 
 class MilvusNeighbours:
-    """The vectors of a collection, by its own name: an alias may change between two searches.
+    """The vectors of a collection; see :class:`index.search.Neighbours`.
 
-    See :class:`index.search.Neighbours`.
+    Parameters
+    ----------
+    collection : str
+        Its own name: an alias could name different collections in two searches.
     """
 
     def __init__(self, client: MilvusClient, collection: str) -> None:
@@ -97,8 +100,12 @@ def load_published(uri: str, artefacts: Path, known: str = "") -> PoseIndex | No
     """Load the index that the alias names, to be searched in Milvus; None if it is ``known``.
 
     ``artefacts`` is the artefact, or a folder of several; ``known`` the version loaded already.
-    Raises ArtefactError if the collection or its artefact cannot be used, SearchUnavailableError if
-    Milvus does not answer, or nothing is published.
+
+    Raises
+    ------
+    ArtefactError, SearchUnavailableError
+        If the collection or its artefact cannot be used; if Milvus does not answer, or nothing is
+        published.
     """
     with milvus_errors():
         client = MilvusClient(uri, timeout=_TIMEOUT_S)

@@ -44,10 +44,18 @@ _RIDGE = 0.45
 class Modes:
     """Poses at which candidates gather.
 
-    ``centres`` ``(M,)`` are rows of their central candidates, ``votes`` ``(M,)`` their shares of
-    the candidates' weight, ``distances`` ``(M,)`` those from the query's descriptor to the
-    interpolated one. ``points_3d`` ``(M, 24, 3)``, metres in camera axes, have the bone lengths of
-    the centre; ``points_normalised`` ``(M, 24, 2)`` are pixels of the normalised frame.
+    Parameters
+    ----------
+    centres : (M,) int64 array
+        Row of each mode's central candidate.
+    votes : (M,) float64 array
+        Share of the candidates' total weight that belongs to each mode.
+    distances : (M,) float64 array
+        Distance from the query's descriptor to the interpolated descriptor of each mode.
+    points_3d : (M, 24, 3) float64 array
+        Interpolated, with the bone lengths of the centre; camera axes, metres.
+    points_normalised : (M, 24, 2) float64 array
+        Interpolated; pixels of the normalised frame.
     """
 
     centres: NDArray[np.int64]
@@ -121,9 +129,14 @@ _ALONG_AXES = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]]
 class DepthModes:
     """Alternatives to the depths of landmarks.
 
-    ``offsets`` ``(5, 12)`` are depths of the limbs behind the landmarks, metres; ``nearer``
-    ``(5,)`` the probabilities that the truth is nearer to each than to the landmarks; ``misfits``
-    ``(5,)`` the negative log likelihoods of the landmarks, relative to that at their own depths.
+    Parameters
+    ----------
+    offsets : (5, 12) float64 array
+        Depths of the limbs behind the landmarks, metres.
+    nearer : (5,) float64 array
+        Probability that the truth is nearer to each than to the depths of the landmarks.
+    misfits : (5,) float64 array
+        Negative log likelihood of the landmarks, relative to that at their own depths.
     """
 
     offsets: NDArray[np.float64]
@@ -139,6 +152,11 @@ def depth_modes(
     For each candidate, the posterior of the depths is the product of the errors of the landmarks
     and a normal distribution about the candidate. The mixture of these is taken as normal, and the
     alternatives lie along its principal axes.
+
+    Parameters
+    ----------
+    agreement : Agreement
+        How the candidates agree with the landmarks.
     """
     apart = -landmarks.limb_offsets(candidates.points_3d)[..., 2]
     limbs = np.eye(len(LIMBS))

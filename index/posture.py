@@ -104,11 +104,21 @@ def classify_postures(
     up: ArrayLike,
     speed: ArrayLike = 0.0,
 ) -> NDArray[np.int64]:
-    """Positions ``(N,)`` in :data:`POSTURES` of skeletons ``(N, P, 3)``, metres in any axes.
+    """Classify the postures of skeletons.
 
-    Their first 19 points are the joints; ``up`` ``(3,)`` or ``(N, 3)`` are unit vectors away from
-    the ground. The horizontal speed, in metres a second, separates walking and running from
-    standing.
+    Parameters
+    ----------
+    points_3d : (N, P, 3) float array
+        Metres, in any axes; the first 19 points are the joints.
+    up : (3,) or (N, 3) float array
+        Unit vectors away from the ground, in the same axes.
+    speed : float or (N,) array
+        Horizontal speed, metres per second; it separates walking and running from standing.
+
+    Returns
+    -------
+    (N,) int64 array
+        Positions in :data:`POSTURES`.
     """
     joints = np.asarray(points_3d, np.float64)[:, :JOINTS]
     up = np.asarray(up, np.float64)

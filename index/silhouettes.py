@@ -58,7 +58,13 @@ class Silhouettes:
         return len(self.ends)
 
     def take(self, numbers: Sequence[int] | NDArray[np.integer]) -> NDArray[np.uint8]:
-        """Decompress silhouettes ``(B, 128, 48)`` of 0 and 1; IndexError if there is none."""
+        """Decompress silhouettes: ``(B, 128, 48)`` uint8 of 0 and 1.
+
+        Raises
+        ------
+        IndexError
+            If there is no such silhouette.
+        """
         dictionary, size = self.dictionary.tobytes(), PACKED_BYTES // self.step**2
         columns = np.empty((len(numbers), size), np.uint8)
         for row, number in zip(columns, numbers, strict=True):

@@ -248,11 +248,21 @@ def rotate_clockwise(points_3d: NDArray[np.float64], angle_deg: float) -> NDArra
 def camera_rotation(
     azimuth_deg: ArrayLike, elevation_deg: ArrayLike, roll_deg: ArrayLike = 0.0
 ) -> NDArray[np.float64]:
-    """Rotations ``(..., 3, 3)`` from body axes to those of cameras that look at the pelvis.
+    """Rotation from body axes to the axes of a camera that looks at the pelvis.
 
-    ``camera = rotation @ body``. The azimuth is 0 in front of the person and 90 at their left side,
-    the elevation is above the horizontal; a positive roll rotates the picture clockwise. Angles
-    broadcast.
+    Parameters
+    ----------
+    azimuth_deg : float or (V,) array
+        0: in front of the person; 90: at the person's left side.
+    elevation_deg : float or (V,) array
+        Elevation of the camera above the horizontal.
+    roll_deg : float or (V,) array
+        Rotation about the optical axis; positive rotates the picture clockwise.
+
+    Returns
+    -------
+    (3, 3) or (V, 3, 3) float64 array
+        ``camera = rotation @ body``.
     """
     azimuth, elevation, roll = np.broadcast_arrays(
         *(np.deg2rad(np.asarray(a, np.float64)) for a in (azimuth_deg, elevation_deg, roll_deg))

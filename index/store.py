@@ -199,7 +199,13 @@ class PoseIndex:
         return Entry(**vars(label), points_3d=points_3d, points_normalised=points_normalised)
 
     def label(self, entry_id: int, *, mirrored: bool = False) -> Label:
-        """The label of an entry, or of its mirror image; IndexError if there is no such entry."""
+        """The label of an entry, or of its mirror image.
+
+        Raises
+        ------
+        IndexError
+            If there is no such entry.
+        """
         if not 0 <= entry_id < len(self):
             raise IndexError(f"expected an entry from 0 to {len(self) - 1}, got {entry_id}")
         # The row is read as a tuple: reading it field by field takes three times as long.

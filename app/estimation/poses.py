@@ -147,15 +147,21 @@ def place_skeletons(
     landmarks: Landmarks | None,
     camera: PinholeCamera,
 ) -> PlacedSkeletons:
-    """Place the hypotheses of a person, the best first, in front of a camera.
+    """Place the hypotheses of a person in front of a camera.
 
-    The first hypothesis is moved towards the landmarks' depths, less so where these are uncertain,
-    and so are those that differ from it in depth alone. All others keep their own depths: they are
-    other interpretations of the image. Without landmarks, skeletons stay in the axes of the line of
-    sight unless the field of view is known.
+    The first hypothesis is moved towards the landmarks' depths, less so where these are uncertain.
+    Hypotheses that differ from it in depth alone are moved by as much. All others keep their own
+    depths: they are other interpretations of the image. Without landmarks, skeletons stay in the
+    axes of the line of sight unless the field of view is known.
 
-    Skeletons are ``(M, 24, 3)`` metres in axes of the line of sight, and ``(M, 24, 2)`` pixels of
-    the frame, fitted to the image; landmarks are in pixels, and in metres in the same axes.
+    Parameters
+    ----------
+    points_3d : (M, 24, 3) float64 array
+        Best hypothesis first: metres, axes of the line of sight.
+    points_2d : (M, 24, 2) float64 array
+        The same, fitted to the image: pixels of the frame.
+    landmarks : Landmarks or None
+        Pixels of the frame, and metres in the axes of the line of sight to the hips.
     """
     if landmarks is None:
         placed = _as_they_are(points_3d, points_2d, camera)
@@ -230,10 +236,14 @@ _COMPARED = 4  # The largest labels of a group; each takes as long as a person's
 
 
 def check_bodies(mask: LabelImage, index: PoseIndex) -> None:
-    """Refuse labels of body parts that touch, each of which would be answered as a person who lies.
+    """Refuse labels of body parts, each of which would be answered as a person who lies.
 
-    The index judges: parts resemble its silhouettes less than the body that they make up. Raises
-    UploadError if they are likelier to be one body than a body each.
+    The index judges: parts resemble its silhouettes less than the body that they make up.
+
+    Raises
+    ------
+    UploadError
+        If labels that touch are likelier to be one body than a body each.
     """
     if len(mask.present) < _LEAST_LABELS:
         return

@@ -27,7 +27,10 @@ class NetworkError(RuntimeError):
 def file_of(name: str) -> Path:
     """Path of the file that ``models.json`` calls ``name``, its content verified.
 
-    Raises NetworkError if the file is missing or is not the shipped one.
+    Raises
+    ------
+    NetworkError
+        If the file is missing or is not the shipped one.
     """
     model = json.loads(LIST.read_text())[name]
     path = FOLDER / str(model["file"])
@@ -53,7 +56,13 @@ def arrays_of(name: str) -> dict[str, NDArray[Any]]:
 
 
 def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of an ``.npz`` file, by name; NetworkError if it is missing or another file."""
+    """The arrays of an ``.npz`` file, by their names.
+
+    Raises
+    ------
+    NetworkError
+        If the file is missing or holds something else.
+    """
     try:
         return load_arrays(path)
     except (OSError, ValueError, EOFError, BadZipFile) as error:

@@ -23,9 +23,14 @@ class TfliteNetwork:
     """A network from some arrays to others; thread-safe.
 
     Shapes are rows, columns and channels of each array, None for a size that may vary. ``copies``
-    calls run at once, others wait. ``threads`` share the work of a call while it is the only one; a
+    calls run at once, others wait. ``threads`` share the work of a call while it is the only one. A
     call that runs beside others has one thread, since threads wait for each other after every
-    layer. Raises NetworkError if the file cannot be read or is another network.
+    layer.
+
+    Raises
+    ------
+    NetworkError
+        If the file cannot be read or is another network.
     """
 
     def __init__(

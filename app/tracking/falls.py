@@ -241,7 +241,14 @@ _RECENT_ODDS = 1.5
 
 
 class FallReport:
-    """Says when a fall is to be reported: once, until the person is up again."""
+    """Says when a fall is to be reported: once, until the person is up again.
+
+    Parameters
+    ----------
+    reported_from, lost_from : float
+        Filtered probability from which a fall is reported; and the unfiltered one of a person who
+        is lost.
+    """
 
     def __init__(
         self, reported_from: float = REPORTED_FROM, lost_from: float = REPORTED_LOST_FROM
@@ -278,8 +285,11 @@ class FallReport:
 class FallWatch:
     """Watches one track for falls.
 
-    Whoever appears later than ``watched_from``, the time from which the camera is watched, was not
-    always there; by default, it is watched from the first frame of the track.
+    Parameters
+    ----------
+    watched_from : float
+        Time from which the camera is watched, seconds: whoever appears later was not always there.
+        By default the camera is watched from the first frame of the track.
     """
 
     def __init__(self, watched_from: float = math.inf) -> None:

@@ -133,11 +133,15 @@ def cut_out_by_colour(
     shape: NDArray[np.floating],
     checkpoint: Callable[[], None] = lambda: None,
 ) -> list[Silhouette | None]:
-    """Cut the person in each box out of a frame ``(H, W, 3)``, BGR, by GrabCut [1]_.
+    """Cut the person in each box out of a frame ``(H, W, 3)``, BGR; None where nobody is found.
 
-    GrabCut begins with ``shape`` ``(128, 48)``, the probability that a pixel of an upright person's
-    normalised frame is the person's. None stands for boxes in which nobody is found. ``checkpoint``
-    is called before each person; it raises an error if the result is not wanted.
+    Parameters
+    ----------
+    shape : (128, 48) array
+        Probability that a pixel of an upright person's normalised frame is the person's: where
+        GrabCut begins.
+    checkpoint : callable
+        Called before each person; it raises an error if the result is not wanted.
     """
     found: list[Silhouette | None] = []
     for box in boxes:

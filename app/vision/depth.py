@@ -101,11 +101,20 @@ def network_depths(world: NDArray[np.floating]) -> NDArray[np.float64]:
 def sight_features(
     windows: NDArray[np.float64], focal: NDArray[np.float64], centre: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Directions and angular sizes of windows, as their cameras see them: ``(N, 5)``.
+    """Directions and angular sizes of windows, as the camera sees them: ``(N, 5)``.
 
-    The ray to the middle along the window's sides, its angular size, cosine and sine of its roll.
-    Windows ``(N, 4)`` are x, y, side and roll in degrees; focal lengths and principal points are
-    ``(N, 2)`` pixels.
+    Parameters
+    ----------
+    windows : (N, 4) float64 array
+        x, y, side, roll in degrees.
+    focal, centre : (N, 2) float64 array
+        Focal lengths and principal points of the cameras, pixels.
+
+    Returns
+    -------
+    (N, 5) float64 array
+        The ray to the middle along the window's sides, the window's angular size, cosine and sine
+        of its roll.
     """
     ray = (windows[:, :2] - centre) / focal
     turned = np.einsum("nij,nj->ni", roll_rotation(windows[:, 3])[:, :2, :2], ray)
@@ -129,9 +138,15 @@ def depth_features(
 ) -> NDArray[np.float32]:
     """Inputs of the network: ``(N, F)``.
 
-    From points ``(N, 39, 5)`` and world ``(N, 39, 3)`` of
-    :class:`app.vision.blazepose.NetworkPass`, the middle map at the landmarks ``(N, 33, 144)``, and
-    :func:`sight_features`.
+    Parameters
+    ----------
+    points : (N, 39, 5) array
+    world : (N, 39, 3) array
+        See :class:`app.vision.blazepose.NetworkPass`.
+    sampled : (N, 33, 144) array
+        The middle map at the landmarks.
+    sight : (N, 5) float64 array
+        See :func:`sight_features`.
     """
     count = len(points)
     places = points[:, :LANDMARKS].astype(np.float64)
@@ -161,8 +176,12 @@ def decode_depths(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corrected depths and their sigmas, ``(N, 33)`` each, about the middle of the hips.
 
-    Outputs ``(N, 66)`` are residuals in :data:`RESIDUAL_M`, then logarithms of sigmas in the same
-    unit; ``own`` is from :func:`network_depths`.
+    Parameters
+    ----------
+    outputs : (N, 66) array
+        Residuals in :data:`RESIDUAL_M`, then logarithms of sigmas in the same unit.
+    own : (N, 33) float64 array
+        See :func:`network_depths`.
     """
     residuals, logarithms = outputs[:, :LANDMARKS], outputs[:, LANDMARKS:]
     depths = own + RESIDUAL_M * residuals.astype(np.float64)

@@ -86,10 +86,17 @@ class ObjectNetwork(TfliteNetwork):
 class NetworkDetector:
     """Finds people with several detectors; thread-safe.
 
-    The first detector finds people of any size; the others add scores to these people, and find
-    people that it misses, whom the landmark network confirms. HOG may raise a score but never
-    lowers it, since it recognises only standing people. Doubtful people are compared with other
-    objects.
+    HOG may raise a score but never lowers it, since it recognises only standing people.
+
+    Parameters
+    ----------
+    detectors : sequence of Detector
+        The first finds people of any size. The others add scores to these people, and find people
+        that the first misses. Each has a weight, see :func:`detection_odds`.
+    landmarks : LandmarkNetwork
+        Confirms people that the first detector misses.
+    objects : ObjectNetwork
+        Compares doubtful people with other objects.
     """
 
     def __init__(
@@ -171,10 +178,15 @@ class NetworkDetector:
     ) -> tuple[list[Detection], NDArray[np.float64], list[Detection]]:
         """Find all candidates of all detectors, however low their score.
 
-        Returns one detection for each person, with the first detector's score and the windows of
-        the others; scores ``(N, 3)``: MoveNet's score, HOG's margin, and the score of BlazePose's
-        detector, 0 where a detector finds no person; and other people in these boxes, with their
-        probabilities.
+        Returns
+        -------
+        people : list of Detection
+            One for each person, with the first detector's score and the windows of the others.
+        scores : (N, 3) float64 array
+            MoveNet's score, HOG's margin, and the score of BlazePose's detector; 0 where a detector
+            finds no person.
+        others : list of Detection
+            Other people in the boxes of these, with their probabilities.
         """
         picture = Picture.of(frame, min_person_px)
         columns = 2 + len(self._others)

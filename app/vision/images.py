@@ -83,8 +83,12 @@ def decode_image(
     of it is missing. A large image may have to wait for another one; meanwhile, ``checkpoint`` is
     called, which raises an error if the result is not wanted.
 
-    Raises ImageTooLargeError if the header says that it has more than ``max_pixels``, ImageError if
-    the bytes are not an image of :data:`FORMATS`, or a broken one.
+    Raises
+    ------
+    ImageTooLargeError
+        If the header says that the image has more than ``max_pixels`` pixels.
+    ImageError
+        If the bytes are not an image of :data:`FORMATS`, or a broken one.
     """
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):
@@ -344,9 +348,14 @@ def read_stored(data: bytes, mode: str | None = None) -> NDArray[np.uint8]:
 
 
 def read_header(data: bytes, max_pixels: int) -> tuple[bytes, Image.Image]:
-    """Read format and size, as stored, without decoding; raises as :func:`decode_image`.
+    """Read format and size, as stored, without decoding the image.
 
     Of a JPEG or PNG, the first value is what decoding needs.
+
+    Raises
+    ------
+    ImageTooLargeError, ImageError
+        As for :func:`decode_image`.
     """
     if not data:
         raise ImageError("expected an image, got no bytes")

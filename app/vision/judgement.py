@@ -121,7 +121,13 @@ class PhotographModels:
 
 
 def load_photograph_models(path: Path | None = None) -> PhotographModels:
-    """The models that ship, or those of a file; NetworkError if it is missing or another."""
+    """Load the models that ship, or those in another file.
+
+    Raises
+    ------
+    NetworkError
+        If the file is missing or holds something else.
+    """
     arrays = arrays_of("photograph_models") if path is None else read_arrays(path)
     try:
         depth, trust, posture = (DenseNetwork.of(arrays, n) for n in ("depth", "trust", "posture"))
@@ -177,7 +183,15 @@ def trust_features(
 ) -> NDArray[np.float64]:
     """Inputs of the model: ``(N, F)``.
 
-    From :class:`app.vision.blazepose.NetworkPass` of N windows, and sigmas ``(N, 33)`` of depths.
+    Parameters
+    ----------
+    points : (N, 39, 5) array
+    world : (N, 39, 3) array
+    presence : (N,) array
+    last : (N, 2, 2, 288) array
+        The fields of :class:`app.vision.blazepose.NetworkPass`.
+    sigmas : (N, 33) float64 array
+        Sigmas of the corrected depths.
     """
     points, metres = points.astype(np.float64), world[:, :LANDMARKS].astype(np.float64)
     places = points[:, :LANDMARKS, :2] / LANDMARK_PX - 0.5
@@ -271,8 +285,17 @@ def posture_features(
 ) -> NDArray[np.float64]:
     """The shape of a body ``(F,)``; it does not distinguish left from right.
 
-    From landmarks ``(33, 3)``, metres in camera axes, their visibility ``(33,)``, the roll of the
-    window, the network's presence, and width over height of the box about the landmarks.
+    Parameters
+    ----------
+    points : (33, 3) float64 array
+        Landmarks, metres, camera axes: y down.
+    visibility : (33,) float64 array
+    roll_deg : float
+        Of the window.
+    presence : float
+        As the network gives it.
+    box_aspect : float
+        Width over height of the box about the landmarks.
     """
 
     def middle(rows: list[int]) -> NDArray[np.float64]:

@@ -28,10 +28,17 @@ Labels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class LabelImage:
-    """Where people are: labels ``(H, W)``, 0 is background, k is person k.
+    """Where people are: 0 is background, k is person k.
 
-    ``present`` are the labels it holds, ascending, without 0; ``part`` is the smallest part that
-    holds them, since most of a mask is background, from column ``left`` and row ``top`` on.
+    Parameters
+    ----------
+    labels : (H, W) array of uint8 or uint16
+    present : list of int
+        The labels it holds, ascending, without 0.
+    left, top : int
+        First column and row of the part.
+    part : (h, w) array
+        The smallest part that holds all labels, since most of a mask is background.
     """
 
     labels: Labels
@@ -70,16 +77,20 @@ def decode_mask(
     """Decode a label image: 0 is background, k is person k.
 
     Grey images and PNG images with a palette keep their stored values, whatever their bit depth; a
-    palette gives its indices. An image with only two values, 0 and one other, marks one person
-    (label 1). So does one with soft edges, and a lossy one (JPEG, WebP), since compression destroys
-    labels; in these, values of at least half of the largest mark the person. Three channels are
-    accepted if they are equal. Transparent pixels are background; if all others have one colour,
-    the alpha channel marks one person. The EXIF orientation is applied. Parts smaller than a figure
-    are dropped. ``checkpoint`` is that of :func:`app.vision.images.decode_image`.
+    palette gives its indices, not its colours. An image with only two values, 0 and one other,
+    marks one person (label 1). So does an image with soft edges, and a lossy image (JPEG, WebP),
+    since compression destroys labels; in these, values of at least half of the largest mark the
+    person. Three channels are accepted if they are equal. Transparent pixels are background; if all
+    others have one colour, the alpha channel marks one person. The EXIF orientation is applied.
+    Parts smaller than a figure, such as a stray pixel, are dropped. ``checkpoint`` is that of
+    :func:`app.vision.images.decode_image`.
 
-    Raises as that does, or ImageError if the image is coloured, or its values are no labels of
-    bodies: shades, more than 100 labels, scattered ones, background that is not 0, or figures of a
-    few pixels.
+    Raises
+    ------
+    ImageTooLargeError, ImageError
+        As for :func:`app.vision.images.decode_image`, or if the image is coloured, or its values
+        are no labels of bodies: shades, more than 100 labels, scattered ones, background that is
+        not 0, or figures of a few pixels.
     """
     data, header = read_header(data, max_pixels)
     with turn_of(header.width * header.height, checkpoint):

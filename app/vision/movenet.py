@@ -188,9 +188,12 @@ CELL_PX = 4
 def decode_heads(heads: Sequence[NDArray[np.float32]]) -> list[MoveNetDetection]:
     """Decode the network's heads into people, highest centre score first.
 
-    The heads ``(h, w, C)``, rows before columns, in cells: centres (1 channel), sizes of boxes (2),
-    centres of boxes (2), first guesses of keypoints from a centre (34), heatmaps of keypoints (17),
-    and the position of each keypoint in its cell (34).
+    Parameters
+    ----------
+    heads : sequence of (h, w, C) float32 arrays
+        Centres (1 channel), sizes of boxes (2), centres of boxes (2), first guesses of keypoints
+        from a centre (34), heatmaps of keypoints (17), and the position of each keypoint in its
+        cell (34); rows before columns, in cells.
     """
     centres = heads[0][..., 0]
     highest = cv2.dilate(centres, np.ones((3, 3), np.uint8))

@@ -68,10 +68,20 @@ class PinholeCamera:
 
     @classmethod
     def of_frame(cls, frame_shape: tuple[int, ...], fov_deg: float | None = None) -> PinholeCamera:
-        """The camera of a frame ``(H, W, ...)``, with a horizontal field of view, degrees.
+        """The camera of a frame.
 
-        By default :data:`ASSUMED_FOV_DEG` along the longer side. Raises ValueError unless it is
-        above 0 and below 180.
+        Parameters
+        ----------
+        frame_shape : tuple of int
+            Height and width first.
+        fov_deg : float, optional
+            Horizontal field of view, above 0 and below 180;
+            :data:`ASSUMED_FOV_DEG` along the longer side where it is not given.
+
+        Raises
+        ------
+        ValueError
+            If the field of view is out of range.
         """
         height, width = frame_shape[:2]
         if fov_deg is None:
@@ -148,15 +158,26 @@ def place_on_sight_lines(
     axes: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> PlacedBody:
-    """Place points ``(..., P, 3)``, metres, on the lines of sight of their landmarks.
+    """Place points on the lines of sight of their landmarks.
 
     The body's size determines how far away it is: the origin is moved so that the points are as
-    near to their lines as possible, across the line of sight. Then each is put onto its line, at
-    its depth.
+    near to their lines as possible, across the line of sight. Then each point is put onto its line,
+    at its depth.
 
-    Points are about any origin, in the axes of a line of sight, to which ``axes`` ``(..., 3, 3)``
-    turn camera axes; rays ``(..., P, 3)`` are in camera axes; weights ``(P,)`` not negative, not
-    all zero.
+    Parameters
+    ----------
+    metres : (..., P, 3) float64 array
+        Points about any origin, in the axes of a line of sight; their depths are not changed.
+    rays : (..., P, 3) float64 array
+        Directions of the landmarks, camera axes.
+    axes : (..., 3, 3) float64 array
+        Camera axes to those of the line of sight.
+    weights : (P,) float64 array
+        Weight of each point; not negative, not all zero.
+
+    Returns
+    -------
+    PlacedBody
     """
     lines = rays @ axes.swapaxes(-1, -2)
     lines = lines / np.maximum(lines[..., 2:], 0.05)

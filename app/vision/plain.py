@@ -38,8 +38,12 @@ def plain_format(data: bytes) -> Literal["JPEG", "PNG"] | None:
 def plain(data: bytes) -> bytes:
     """Copy a JPEG or PNG without texts, profiles, previews and, except for its orientation, EXIF.
 
-    Other files are returned as they are. Raises NotPlainError if it ends before its pixels, or has
-    too many segments, chunks or scans.
+    Other files are returned as they are.
+
+    Raises
+    ------
+    NotPlainError
+        If it ends before its pixels, or has too many segments, chunks or scans.
     """
     match plain_format(data):
         case "JPEG":

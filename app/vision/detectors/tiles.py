@@ -107,8 +107,18 @@ def smallest_person_px(frame_shape: tuple[int, ...], min_person_px: float | None
 def tiles_of(width: int, height: int, min_person_px: float | None = None) -> list[Tile]:
     """The overview of a frame, and tiles at a higher resolution if small people are wanted.
 
-    The smallest person wanted is ``min_person_px`` high, in pixels of the frame; by default a share
-    of its height, for which the overview is enough. Empty for a frame too thin to hold a person.
+    Parameters
+    ----------
+    width, height : int
+        Of the frame, in pixels.
+    min_person_px : float, optional
+        Height of the smallest person wanted, in pixels of the frame; by default a share of its
+        height, for which the overview is enough.
+
+    Returns
+    -------
+    list of Tile
+        The overview first; empty for a frame too thin to hold a person.
     """
     # Portrait frames are seen as large as landscape frames.
     longer, shorter = max(width, height), min(width, height)
