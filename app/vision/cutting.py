@@ -133,7 +133,9 @@ def cut_out_by_colour(
     shape: NDArray[np.floating],
     checkpoint: Callable[[], None] = lambda: None,
 ) -> list[Silhouette | None]:
-    """Cut the person in each box out of a frame ``(H, W, 3)``, BGR; None where nobody is found.
+    """Cut the person in each box out of a frame ``(H, W, 3)``, BGR, by GrabCut [1]_.
+
+    None stands for boxes in which nobody is found.
 
     Parameters
     ----------
