@@ -88,7 +88,7 @@ class UnknownNameError(ValueError):
 
 
 class Given(BaseModel):
-    """What somebody writes, who is told the names that there are."""
+    """A part of a configuration; an unknown field is refused with the names of those that exist."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -135,7 +135,7 @@ def train_trust(
     """Log odds of a person, and of right landmarks given a person.
 
     Of others, who are hidden or in bad light, it is known that they are people, but not whether
-    their landmarks are right. An initial network is trained on.
+    their landmarks are right. An initial network of the same inputs is trained on.
     """
     import torch
 
@@ -159,8 +159,6 @@ def train_trust(
     blank = np.random.default_rng(seed).random(len(inputs)) < BLANK
     without = inputs[blank]
     without[:, -surroundings:] = inputs[:, -surroundings:].mean(axis=0)
-    if initial is not None:
-        initial = _with_surroundings(initial, inputs)
     return fit_dense(
         np.vstack([inputs, without]), np.vstack([targets, targets[blank]]), 2, loss,
         hidden=(32,), epochs=epochs, seed=seed, dropout=0.4, noise=0.5, decay=0.1, initial=initial,
