@@ -11,8 +11,9 @@ from functools import partial
 import numpy as np
 
 from app.decoding.pictures import Workers
+from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
-from app.estimation.poses import NormalisedPerson, PlacedSkeletons, check_bodies, place_skeletons
+from app.estimation.poses import NormalisedPerson, PlacedSkeletons, place_skeletons
 from app.estimation.posture import LANDMARK_GROUPS, EstimatedPosture, as_standing, likeliest_posture
 from app.estimation.results import (
     Estimate,

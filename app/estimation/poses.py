@@ -15,22 +15,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.upload import UploadError
 from app.vision.geometry import transform_points
-from app.vision.masks import LabelImage
 from app.vision.optics import PinholeCamera, place_on_sight_lines, to_line_of_sight
 from app.vision.people import (
     LANDMARK_NAMES,
     Landmarks,
     Silhouette,
     landmark_rows,
-    silhouette_from_mask,
 )
 from descriptor.silhouette import is_wide, normalise, principal_axis_deg, rotate_silhouette
 from index.landmarks import SIZE_RANGE, NormalisedLandmarks
-from index.silhouette_matching import match_silhouette
 from index.skeleton import LIMBS, OTHER_SIDE, POINT_NAMES, SIDES, rotate_clockwise, rows, side_rows
-from index.store import PoseIndex
 
 # Points of the index and their landmarks. Eyes and ears are left out, since the index places them
 # differently.
@@ -229,48 +224,3 @@ def _rows_shown(own_2d: NDArray[np.float64], seen: NDArray[np.float64]) -> NDArr
 def _about_pelvis(points: NDArray[np.float64], pixels: NDArray[np.float64]) -> PlacedSkeletons:
     pelvis = points[:, _PELVIS]
     return PlacedSkeletons(points - pelvis[:, None], pixels, pelvis)
-
-
-_LEAST_LABELS = 3  # Two that touch may well embrace.
-_COMPARED = 4  # The largest labels of a group; each takes as long as a person's search.
-
-
-def check_bodies(mask: LabelImage, index: PoseIndex) -> None:
-    """Refuse labels of body parts, each of which would be answered as a person who lies.
-
-    The index judges: parts resemble its silhouettes less than the body that they make up.
-
-    Raises
-    ------
-    UploadError
-        If labels that touch are likelier to be one body than a body each.
-    """
-    if len(mask.present) < _LEAST_LABELS:
-        return
-    marked = np.asarray(mask.part != 0).view(np.uint8)
-    count, groups, stats, _ = cv2.connectedComponentsWithStats(marked)
-    for group in range(1, count):
-        left, top, width, height = stats[group, : cv2.CC_STAT_AREA].tolist()
-        within = slice(top, top + height), slice(left, left + width)
-        one = np.where(groups[within] == group, mask.part[within], 0)
-        labels, areas = np.unique(one[one > 0], return_counts=True)
-        if len(labels) < _LEAST_LABELS:
-            continue
-        largest = np.argsort(-areas, kind="stable")[:_COMPARED]
-        each = [_likelihood(one == label, index) for label in labels[largest]]
-        if _likelihood(one > 0, index) > np.average(each, weights=areas[largest]):
-            raise UploadError(
-                "mask",
-                "mask: expected a label for each person (1, 2, ...; 0 is background), got "
-                f"{len(labels)} labels that together look like one body, from {labels[0]} to "
-                f"{labels[-1]}: parts of a body, or its soft edges, need one label",
-            )
-
-
-def _likelihood(mask: NDArray[np.bool_], index: PoseIndex) -> float:
-    """Confidence of the nearest pose of a mask ``(H, W)``."""
-    silhouette = silhouette_from_mask(mask, segmenter="mask")
-    assert silhouette is not None
-    person = NormalisedPerson.of(silhouette, None)
-    found = match_silhouette(index, person.silhouette, 1, roll_deg=person.roll_deg)
-    return found.hypotheses[0].confidence

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.poses import check_bodies
+from app.estimation.bodies import check_bodies
 from app.estimation.upload import UploadError
 from app.photograph import Estimator
 from app.vision.masks import LabelImage
