@@ -5,9 +5,9 @@ import json
 import threading
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.bridge import RETRY_AFTER_S, RefusedError, Trouble, UnavailableError, say
 from app.bridge.home_assistant import HomeAssistant
@@ -24,43 +24,29 @@ _NO_KEY = (401, 403)
 _NO_CAMERA = (404, 405, 422)
 
 
-class Presence:
-    """The people before a camera and in its zones, by the service's answers.
+class Seen(NamedTuple):
+    """Where and when a person was last seen."""
+
+    timestamp: float
+    zones: Sequence[str]
+    posture: str
+
+
+def presence(
+    before: Mapping[int, Seen], answer: Mapping[str, Any], *, anew: bool = False
+) -> dict[int, Seen]:
+    """Return the people before a camera by identity: those before, and those of a frame's answer.
 
     Events say less: a camera may be set to raise only some. A person whom frames do not show stays
-    for :data:`HELD_S`, or until ``left`` is raised.
+    for :data:`HELD_S`, or until ``left`` is raised; ``anew`` says that identities begin anew.
     """
-
-    def __init__(self) -> None:
-        # Time, zones and posture by identity.
-        self._seen: dict[int, tuple[float, list[str], str]] = {}
-
-    @property
-    def track_ids(self) -> list[int]:
-        """Identities of the people."""
-        return sorted(self._seen)
-
-    def is_occupied(self, zone: str) -> bool:
-        """Whether a person is in a zone."""
-        return any(zone in zones for _, zones, _ in self._seen.values())
-
-    @property
-    def postures(self) -> set[str]:
-        """Postures of the people."""
-        return {posture for _, _, posture in self._seen.values()}
-
-    def update(self, answer: Mapping[str, Any], *, anew: bool = False) -> None:
-        """Add the people of a frame; ``anew`` says that earlier ones have other identities."""
-        now = answer["timestamp"]
-        left = {one["track_id"] for one in answer["events"] if one["event"] == "left"}
-        before = {} if anew or answer["reset"] else self._seen
-        self._seen = {
-            person: seen
-            for person, seen in before.items()
-            if person not in left and now - seen[0] <= HELD_S
-        }
-        for one in answer["persons"]:
-            self._seen[one["track_id"]] = now, one["zones"], _posture(one)
+    now = answer["timestamp"]
+    left = {one["track_id"] for one in answer["events"] if one["event"] == "left"}
+    held = {} if anew or answer["reset"] else before
+    people = {n: one for n, one in held.items() if n not in left and now - one.timestamp <= HELD_S}
+    for one in answer["persons"]:
+        people[one["track_id"]] = Seen(now, one["zones"], _posture(one))
+    return people
 
 
 class Bridge:
@@ -76,7 +62,7 @@ class Bridge:
     ) -> None:
         self._camera, self._outbox, self._home_assistant = camera, outbox, home_assistant
         self._ends_if_refused = ends_if_refused
-        self._presence = Presence()
+        self._people: dict[int, Seen] = {}
         self._obstructed = False
         self._zones: list[str] | None = None  # Not known before the service has named them.
         self._raises_left = True
@@ -158,13 +144,13 @@ class Bridge:
         if is_new and self.answered:
             self._is_configured = False
             say("the service had forgotten this camera: people are numbered anew")
-            for track_id in self._presence.track_ids if self._raises_left else ():
+            for track_id in sorted(self._people) if self._raises_left else ():
                 self._pass_on(self._message(_left(track_id, answer["timestamp"])))
         if answer["reset"]:
             say(f"people are followed anew: {answer['reset']}")
         for event in answer["events"]:
             self._pass_on(self._message(event))
-        self._presence.update(answer, anew=is_new)
+        self._people = presence(self._people, answer, anew=is_new)
         self._obstructed = "obstructed" in answer["image"]["warnings"]
         self.answered += 1
         self._show()
@@ -198,13 +184,12 @@ class Bridge:
 
     def _show(self) -> None:
         if self._home_assistant is not None:
-            occupied = None
+            people = self._people.values()
+            zones = None
             if self._zones is not None:
-                occupied = {zone: self._presence.is_occupied(zone) for zone in self._zones}
-            people = len(self._presence.track_ids)
-            self._home_assistant.show(
-                people, occupied, self._presence.postures, obstructed=self._obstructed
-            )
+                zones = {zone: any(zone in one.zones for one in people) for zone in self._zones}
+            postures = {one.posture for one in people}
+            self._home_assistant.show(len(people), zones, postures, obstructed=self._obstructed)
 
 
 def _left(track_id: int, timestamp: float) -> dict[str, Any]:

@@ -39,10 +39,24 @@ POSTURES = [
     *("crouching", "sitting", "crawling", "lying"),
 ]
 """Of several people's postures, the one furthest down is shown."""
-_EVENT = (
+_EVENT_TEMPLATE = (
     "{% set end = '_ended' if value_json.state == 'end' else '' %}"
     "{{ dict(value_json, event_type=value_json.event ~ end) | tojson }}"
 )
+_PROBLEM = {"device_class": "problem"}
+_FELL = {"value_template": "{{ value_json.state }}", "json_attributes_topic": "fell"}
+# Component, title, and what else Home Assistant is told of what is shown of a camera.
+_ENTITIES: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
+    "fell": ("binary_sensor", "Fell", _PROBLEM | _FELL),
+    "obstructed": ("binary_sensor", "Obstructed", _PROBLEM),
+    "people": ("sensor", "People", {"state_class": "measurement"}),
+    "posture": ("sensor", "Posture", {"device_class": "enum", "options": POSTURES}),
+    "last_fall": ("sensor", "Last fall", {"device_class": "timestamp"}),
+    "replay": ("image", "Last fall", {"image_topic": "replay", "content_type": "image/webp"}),
+    "events": ("event", "Events", {"event_types": EVENT_TYPES, "value_template": _EVENT_TEMPLATE}),
+}
+# These stay as they are while the camera is offline.
+_STAYING = ("last_fall", "replay", "events")
 # The broker reports a dead machine after one and a half of these: within BLIND_AFTER_S, too.
 _KEEPALIVE_S = 10
 _ANSWERS_WITHIN_S = 5.0
@@ -89,42 +103,25 @@ class HomeAssistant:
             "sw_version": VERSION,
             **({"configuration_url": link} if link else {}),
         }
-        self._base = f"silhouette-pose/{camera_id}"
-        self._available, self._fell = f"{self._base}/available", f"{self._base}/fell"
-        self._last_fall, self._events = f"{self._base}/last_fall", f"{self._base}/events"
-        self._image = f"{self._base}/replay"
-        self._kept = (self._fell, self._last_fall, self._image, self._events)
+        self._base = f"silhouette-pose/{camera_id}/"
         self._replay, self._replays_at = replay, list[float]()
         self._fell_until = self._seen_at = 0.0
         self._fall_shown = ""  # Its id.
         self._is_closed = self._is_withdrawn = False
         self._connected_at = math.inf
         # Retained messages by topic: those that there should be, and those that the broker has.
-        self._state: dict[str, str | bytes] = {self._available: "offline"}
-        self._state[self._fell] = json.dumps({"state": "OFF"})
+        self._state: dict[str, str | bytes] = {}
         self._published: dict[str, str | bytes] = {}
         self._retry_at: dict[str, float] = {}
-        # Topics of states by those of announcements, also of an earlier start.
+        # Names by topics of announcements, also of an earlier start.
         self._entities: dict[str, str] = {}
         self._answers: dict[int, Any] = {}
         self._changed = threading.Condition()
         self._outage, self._outage_began = "does not answer", time.monotonic()
         self._trouble = Trouble("mqtt: the broker answers again")
-        problem = {"device_class": "problem"}
-        fell = {"value_template": "{{ value_json.state }}", "json_attributes_topic": self._fell}
-        base, enum = self._base, {"device_class": "enum", "options": POSTURES}
-        self._announce("binary_sensor", self._fell, "Fell", **problem, **fell)
-        self._announce("binary_sensor", f"{base}/obstructed", "Obstructed", **problem)
-        self._announce("sensor", f"{base}/people", "People", state_class="measurement")
-        self._announce("sensor", f"{base}/posture", "Posture", **enum)
-        # These stay as they are while the camera is offline.
-        always = {"availability_topic": None}
-        moment = {"device_class": "timestamp", **always}
-        self._announce("sensor", self._last_fall, "Last fall", **moment)
-        picture = {"image_topic": self._image, "content_type": "image/webp", **always}
-        self._announce("image", self._image, "Last fall", **picture)
-        events: dict[str, Any] = {"event_types": EVENT_TYPES, "value_template": _EVENT, **always}
-        self._announce("event", self._events, "Events", **events)
+        self._set(available="offline", fell=json.dumps({"state": "OFF"}))
+        for entity, described in _ENTITIES.items():
+            self._announce(entity, *described)
         # By its name, the broker knows that an earlier connection of this camera is dead.
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
         if address.scheme == "mqtts":
@@ -132,7 +129,7 @@ class HomeAssistant:
         if address.username is not None:
             password = None if address.password is None else unquote(address.password)
             self._client.username_pw_set(unquote(address.username), password)
-        self._client.will_set(self._available, "offline", qos=1, retain=True)
+        self._client.will_set(f"{self._base}available", "offline", qos=1, retain=True)
         self._client.reconnect_delay_set(1, 10)
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
@@ -151,10 +148,10 @@ class HomeAssistant:
             self._fall_shown = message["id"]
             self._replays_at = [time.monotonic() + after_s for after_s in _REPLAYED_AFTER_S]
             with self._changed:
-                self._state[self._fell] = json.dumps({**message, "state": "ON"})
-                self._state[self._last_fall] = message["time"]
+                fall = json.dumps({**message, "state": "ON"})
+                self._set(fell=fall, last_fall=message["time"])
         # Before those two, so that an automation knows which falls it was told of.
-        self._publish(self._events, json.dumps(message))
+        self._publish(f"{self._base}events", json.dumps(message))
 
     def show(
         self,
@@ -173,38 +170,42 @@ class HomeAssistant:
             self._seen_at = time.monotonic()
             if zones is not None:
                 self._show_zones(zones)
-            self._state[f"{self._base}/people"] = str(people)
             known = [*filter(POSTURES.__contains__, postures), "unclear" if people else "nobody"]
-            self._state[f"{self._base}/posture"] = max(known, key=POSTURES.index)
-            self._state[f"{self._base}/obstructed"] = "ON" if obstructed else "OFF"
-            self._state[self._available] = "online"
+            posture = max(known, key=POSTURES.index)
+            blocked = "ON" if obstructed else "OFF"
+            self._set(available="online", people=str(people), posture=posture, obstructed=blocked)
 
     def _show_zones(self, zones: Mapping[str, bool]) -> None:
-        shown = {f"{self._base}/zones/{slug(name)}": name for name in zones}
-        for topic, name in shown.items():
-            self._announce("binary_sensor", topic, name, device_class="occupancy")
-            self._state[topic] = "ON" if zones[name] else "OFF"
-        self._clear(lambda topic: "/zones/" in topic and topic not in shown)
+        shown = {f"zones/{slug(zone)}": zone for zone in zones}
+        for name, zone in shown.items():
+            self._announce(name, "binary_sensor", zone, {"device_class": "occupancy"})
+            self._set(**{name: "ON" if zones[zone] else "OFF"})
+        self._clear(lambda name: name.startswith("zones/") and name not in shown)
+
+    def _set(self, **payloads: str | bytes) -> None:
+        """Change what is retained below the topic of the camera."""
+        self._state |= {f"{self._base}{name}": payload for name, payload in payloads.items()}
 
     def _clear(self, is_meant: Callable[[str], bool]) -> None:
-        """Withdraw entities by the topics of their states."""
-        for config, topic in self._entities.items():
-            if is_meant(topic):
+        """Withdraw entities by their names."""
+        for config, name in self._entities.items():
+            if is_meant(name):
                 self._state[config] = ""
-                if topic != self._events:  # Which are not retained.
-                    self._state[topic] = ""
+                if name != "events":  # Which are not retained.
+                    self._set(**{name: ""})
 
     def keep(self) -> None:
         """Publish what has changed; the camera is offline if no frame was answered for too long."""
         now = time.monotonic()
         with self._changed:
-            if self._state[self._available] == "online" and now > self._seen_at + BLIND_AFTER_S:
+            is_online = self._state[f"{self._base}available"] == "online"
+            if is_online and now > self._seen_at + BLIND_AFTER_S:
                 say(f"no frame was answered for {BLIND_AFTER_S:g} s: the camera is offline")
                 self.hide()
             if self._fell_until and now > self._fell_until:
                 self._fell_until = 0.0
-                fall = json.loads(self._state[self._fell])
-                self._state[self._fell] = json.dumps({**fall, "state": "OFF"})
+                fall = json.loads(self._state[f"{self._base}fell"])
+                self._set(fell=json.dumps({**fall, "state": "OFF"}))
         if not self._client.is_connected():
             if now > self._outage_began + _ANSWERS_WITHIN_S:
                 self._trouble.report(f"mqtt: the broker {self._outage}")
@@ -230,15 +231,15 @@ class HomeAssistant:
             say(f"no replay of the fall: {error}")
             return
         with self._changed:
-            self._state[self._image] = content
+            self._set(replay=content)
 
     def hide(self) -> None:
         """Show that the camera is offline; what it sees becomes unknown."""
         with self._changed:
-            self._state[self._available] = "offline"
-            for topic in self._entities.values():
-                if topic not in self._kept and self._state.get(topic):
-                    self._state[topic] = _UNKNOWN
+            self._set(available="offline")
+            for name in self._entities.values():
+                if name not in ("fell", *_STAYING) and self._state.get(f"{self._base}{name}"):
+                    self._set(**{name: _UNKNOWN})
 
     def withdraw(self) -> None:
         """Clear all that the broker retains of this camera, which is watched no more."""
@@ -270,7 +271,7 @@ class HomeAssistant:
         with self._changed:
             payload = self._state[topic]
         options = {}
-        if topic == self._fell and self._fell_until:
+        if topic == f"{self._base}fell" and self._fell_until:
             # Even if this program ends: nobody shall take it for a new fall later on.
             options["properties"] = Properties(PacketTypes.PUBLISH)
             options["properties"].MessageExpiryInterval = FELL_SHOWN_S
@@ -294,21 +295,21 @@ class HomeAssistant:
         if answer.is_failure:
             raise UnavailableError(f"the broker refuses {topic}: {answer}")
 
-    def _announce(self, component: str, topic: str, name: str, **fields: Any) -> None:
+    def _announce(self, name: str, component: str, title: str, fields: Mapping[str, Any]) -> None:
         """Announce an entity of Home Assistant; without the fields that are None."""
-        entity = topic.removeprefix(f"{self._base}/").replace("/", "_")
+        entity = name.replace("/", "_")
         given = {
-            "name": name,
+            "name": title,
             "unique_id": f"{self._device}_{entity}",
-            "state_topic": topic,
-            "availability_topic": self._available,
+            "state_topic": name,
+            **({} if name in _STAYING else {"availability_topic": "available"}),
             "device": self._info,
             "origin": {"name": "silhouette-pose-watch", "sw_version": VERSION},
             **fields,
         }
+        given |= {key: f"{self._base}{given[key]}" for key in given if key.endswith("_topic")}
         config = f"{DISCOVERY_PREFIX}/{component}/{self._device}/{entity}/config"
-        self._entities[config] = topic
-        given = {name: value for name, value in given.items() if value is not None}
+        self._entities[config] = name
         self._state[config] = json.dumps(given)
 
     def _on_connect(
@@ -324,7 +325,8 @@ class HomeAssistant:
         """Note an announcement of an earlier start."""
         with contextlib.suppress(ValueError, KeyError, TypeError), self._changed:
             if message.retain:
-                self._entities[message.topic] = str(json.loads(message.payload)["state_topic"])
+                topic = str(json.loads(message.payload)["state_topic"])
+                self._entities[message.topic] = topic.removeprefix(self._base)
                 if self._is_withdrawn:
                     self._clear(lambda topic: True)
 
