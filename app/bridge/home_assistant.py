@@ -216,7 +216,7 @@ class HomeAssistant:
             try:
                 self._retain(topic)
             except UnavailableError as error:
-                if topic not in self._retry_at:
+                if topic not in self._retry_at and not self._is_closed:
                     say(f"mqtt: {error}")
                 self._retry_at[topic] = now + _RETRY_AFTER_S
 
@@ -255,7 +255,9 @@ class HomeAssistant:
 
     def close(self) -> None:
         """Disconnect; nothing is published any more."""
-        self._is_closed = True
+        with self._changed:
+            self._is_closed = True
+            self._changed.notify_all()
         self._client.disconnect()
         self._client.loop_stop()
 
@@ -287,10 +289,12 @@ class HomeAssistant:
         """
         number = self._client.publish(topic, payload, qos=1, **options).mid
         with self._changed:
-            while not self._changed.wait_for(lambda: number in self._answers, _ANSWERS_WITHIN_S):
-                if self._is_closed:
-                    raise UnavailableError("the connection was closed")
+            while not self._changed.wait_for(
+                lambda: self._is_closed or number in self._answers, _ANSWERS_WITHIN_S
+            ):
                 self._trouble.report(f"mqtt: the broker {self._outage}")
+            if number not in self._answers:
+                raise UnavailableError("the connection was closed")
             answer = self._answers.pop(number)
         if answer.is_failure:
             raise UnavailableError(f"the broker refuses {topic}: {answer}")
