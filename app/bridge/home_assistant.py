@@ -119,9 +119,10 @@ class HomeAssistant:
         self._changed = threading.Condition()
         self._outage, self._outage_began = "does not answer", time.monotonic()
         self._trouble = Trouble("mqtt: the broker answers again")
-        self._set(available="offline", fell=json.dumps({"state": "OFF"}))
+        # Announcements first: where all is withdrawn, Home Assistant reads no empty states.
         for entity, described in _ENTITIES.items():
             self._announce(entity, *described)
+        self._set(available="offline", fell=json.dumps({"state": "OFF"}))
         # By its name, the broker knows that an earlier connection of this camera is dead.
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, self._device, protocol=mqtt.MQTTv5)
         if address.scheme == "mqtts":
