@@ -47,12 +47,14 @@ class EventDetector:
         observation: NDArray[np.float64],
         *,
         rests: bool = False,
+        floor_odds: float = 1.0,
     ) -> tuple[Event, ...]:
         """Add a frame of the track and return what begins, ends or happens with it.
 
         ``shares`` ``(10,)`` are the probabilities of ``POSTURES`` at this frame, weighted by
         ``reliability``, 0 to 1, that the body is read correctly. ``rests`` is whether the person is
-        in a zone for resting, where lying is not an event.
+        in a zone for resting, where lying is not an event. ``floor_odds`` are those of
+        :class:`app.tracking.floor.Rest`.
         """
         elapsed = 0.0 if self._last_at is None else min(timestamp - self._last_at, MAX_STEP_S)
         step = reliability * elapsed
@@ -62,7 +64,7 @@ class EventDetector:
             share = 0.0 if rests and name == "lying" else float(shares[POSTURES.index(name)])
             if change := state.change(share, step):
                 events.append(Event(name, change, timestamp, state.level))
-        if self._falls.update(timestamp, observation, rests=rests):
+        if self._falls.update(timestamp, observation, rests=rests, floor_odds=floor_odds):
             events.append(Event("fell", "instant", timestamp, self._falls.probability))
         return tuple(events)
 
@@ -127,8 +129,14 @@ class Watches:
         observation: NDArray[np.float64],
     ) -> list[Event]:
         """Add a frame that shows the body; see :meth:`EventDetector.update`."""
-        rests = is_rest(self._zones.zones)
-        events = self._events.update(timestamp, shares, reliability, observation, rests=rests)
+        events = self._events.update(
+            timestamp,
+            shares,
+            reliability,
+            observation,
+            rests=is_rest(self._zones.zones),
+            floor_odds=self.rest.odds,
+        )
         return self._here(events)
 
     def lost(self, timestamp: float) -> list[Event]:

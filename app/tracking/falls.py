@@ -240,6 +240,11 @@ _RIGHT = 5 + _POSTURES  # Column of :func:`observation`.
 _RECENT_ODDS = 1.5
 
 
+def _weighed(probability: float, factor: float) -> float:
+    """The probability whose odds are those of another times a factor."""
+    return probability * factor / (1 + (factor - 1) * probability)
+
+
 class FallReport:
     """Says when a fall is to be reported: once, until the person is up again.
 
@@ -300,14 +305,23 @@ class FallWatch:
         """Probability of the last frame that the person fell within the last seconds and is down.
         """
 
-    def update(self, timestamp: float, row: NDArray[np.float64], *, rests: bool = False) -> bool:
+    def update(
+        self,
+        timestamp: float,
+        row: NDArray[np.float64],
+        *,
+        rests: bool = False,
+        floor_odds: float = 1.0,
+    ) -> bool:
         """Add a frame of the track; return whether a fall is to be reported now.
 
         The row ``(17,)`` is an :func:`observation`. A person who ``rests``, in a zone for it, does
-        not fall.
+        not fall. Who falls onto a bed did not fall: ``floor_odds`` are those of
+        :class:`app.tracking.floor.Rest`.
         """
         self._add(timestamp, row)
         self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)
+        self.probability = _weighed(self.probability, floor_odds)
         return self.report.update(timestamp, self.probability, up)
 
     def _add(self, timestamp: float, row: NDArray[np.float64]) -> None:
@@ -335,7 +349,7 @@ class FallWatch:
         if not lost and up < _UP_FROM and trusted.mean() >= _TRUSTED_FROM:
             slowly, _ = long.probabilities(self._window(times, rows, timestamp, long)).tolist()
         if not lost:
-            fell *= _RECENT_ODDS / (1 + (_RECENT_ODDS - 1) * fell)
+            fell = _weighed(fell, _RECENT_ODDS)
         return max(fell, slowly), up
 
     def _window(

@@ -56,6 +56,8 @@ _FLOOR_BELOW_M, _DISTANCE_SD = 0.35, 0.07
 # Probability of the floor, or of a bed, from which it is told; and the heights beyond which a
 # reading or the floor must be wrong, metres.
 _TOLD_FROM, _PLAUSIBLE_M = 0.8, (-0.6, 1.2)
+# The most by which a height counts for or against a fall: the floor itself may be wrong.
+_MOST_ODDS = 4.0
 # Of frames that show who lies, least probabilities of the posture and of right landmarks; seconds
 # for which they count, since people fall out of bed; how many are needed, weighted by the latter.
 _LIES_FROM, _READ_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 0.1, 1.0, 0.8
@@ -93,11 +95,22 @@ class Rest:
     @property
     def on_floor(self) -> float | None:
         """Probability that the person lies on the floor; None while nobody can tell."""
+        on_floor = self._probability
+        return on_floor if max(on_floor, 1 - on_floor) >= _TOLD_FROM else None
+
+    @property
+    def odds(self) -> float:
+        """Odds of the floor against a bed, as far as they can be relied on; 1 if unknown."""
+        on_floor = self._probability
+        return min(max(on_floor / max(1 - on_floor, 1e-9), 1 / _MOST_ODDS), _MOST_ODDS)
+
+    @property
+    def _probability(self) -> float:
+        """Probability that the person lies on the floor; one half if unknown."""
         mean, sd = self._height
         if self._frames < _LEAST_FRAMES or not _PLAUSIBLE_M[0] < mean < _PLAUSIBLE_M[1]:
-            return None
-        on_floor = NormalDist(mean, sd).cdf(_FLOOR_BELOW_M)
-        return on_floor if max(on_floor, 1 - on_floor) >= _TOLD_FROM else None
+            return 0.5
+        return NormalDist(mean, sd).cdf(_FLOOR_BELOW_M)
 
 
 class Calibration(NamedTuple):

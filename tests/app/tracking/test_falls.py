@@ -46,7 +46,11 @@ def mixed(start: Box, end: Box, share: float) -> Box:
 
 
 def reported(
-    steps: list[tuple[Box, NDArray[np.float64], float]], fps: float, *, rests: bool = False
+    steps: list[tuple[Box, NDArray[np.float64], float]],
+    fps: float,
+    *,
+    rests: bool = False,
+    floor_odds: float = 1.0,
 ) -> list[float]:
     """Times at which a fall is reported: from step to step in so many seconds each."""
     watch, times, now = FallWatch(), [], 0.0
@@ -55,7 +59,8 @@ def reported(
             share = (frame + 1) / round(seconds * fps)
             posture = (1 - share) * before + share * after
             now += 1 / fps
-            if watch.update(now, seen(mixed(start, end, share), posture), rests=rests):
+            row = seen(mixed(start, end, share), posture)
+            if watch.update(now, row, rests=rests, floor_odds=floor_odds):
                 times.append(now)
     return times
 
@@ -68,6 +73,12 @@ FALL = [(UPRIGHT, STANDS, 3.0), (DOWN, LIES, 0.7), (DOWN, LIES, 3.0)]
 def test_a_fall_is_reported_once_and_soon(fps: float) -> None:
     (time,) = reported(FALL, fps)
     assert 3.3 < time < 5.5
+
+
+def test_the_floor_speaks_for_a_fall_and_a_bed_against_it() -> None:
+    (floor,), (unknown,) = reported(FALL, 5, floor_odds=4), reported(FALL, 5)
+    assert floor <= unknown
+    assert min([*reported(FALL, 5, floor_odds=1 / 4), np.inf]) >= unknown
 
 
 @pytest.mark.parametrize("fps", [2, 5, 10, 15])

@@ -224,6 +224,7 @@ def test_the_floor_and_a_bed_are_told_apart(height_m: float, tilt_deg: float) ->
     on_floor, in_bed = rested(scene, 0.0).on_floor, rested(scene, 0.6).on_floor
     assert on_floor is not None and in_bed is not None
     assert on_floor > 0.8 and in_bed < 0.2
+    assert rested(scene, 0.0).odds > 3 and rested(scene, 0.6).odds < 1 / 3
 
 
 @pytest.mark.parametrize("fov_deg", [60.0, 80.0, 100.0])
@@ -282,7 +283,7 @@ def test_of_those_who_do_not_lie_nothing_is_said() -> None:
     scene, rest = watched(Scene(2.4, 25)), Rest()
     for number in range(10):
         rest.update(number / 5, scene.stands(0, scene.middle_m), 1, scene.floor)
-    assert rest.on_floor is None
+    assert rest.on_floor is None and rest.odds == 1
     rest = rested(scene, 0.0)
     rest.update(60.0, scene.stands(0, scene.middle_m), 1, scene.floor)
     assert rest.on_floor is None
