@@ -301,7 +301,7 @@ class HomeAssistant:
             raise UnavailableError(f"the broker refuses {topic}: {answer}")
 
     def _announce(self, name: str, component: str, title: str, fields: Mapping[str, Any]) -> None:
-        """Announce an entity of Home Assistant; without the fields that are None."""
+        """Announce an entity of Home Assistant; topics are below that of the camera."""
         entity = name.replace("/", "_")
         given = {
             "name": title,
@@ -333,7 +333,7 @@ class HomeAssistant:
                 topic = str(json.loads(message.payload)["state_topic"])
                 self._entities[message.topic] = topic.removeprefix(self._base)
                 if self._is_withdrawn:
-                    self._clear(lambda topic: True)
+                    self._clear(lambda name: True)
 
     def _on_disconnect(self, *_: Any) -> None:
         self._outage_began = time.monotonic()

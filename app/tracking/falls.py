@@ -316,8 +316,8 @@ class FallWatch:
         """Add a frame of the track; return whether a fall is to be reported now.
 
         The row ``(17,)`` is an :func:`observation`. A person who ``rests``, in a zone for it, does
-        not fall. Who falls onto a bed did not fall: ``floor_odds`` are those of
-        :class:`app.tracking.floor.Rest`.
+        not fall. The odds of a fall are multiplied by ``floor_odds``, those of
+        :class:`app.tracking.floor.Rest`: a person who drops onto a bed has not fallen.
         """
         self._add(timestamp, row)
         self.probability, up = (0.0, 0.0) if rests else self._probabilities(timestamp)

@@ -289,8 +289,9 @@ def test_of_those_who_do_not_lie_nothing_is_said() -> None:
     assert rest.on_floor is None
 
 
-def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
-    scene, frame = Scene(1.5, 12, given=True), np.zeros((*SHAPE, 3), np.uint8)
+def fallen(scene: Scene, floor: Floor | None) -> tuple[list[float | None], list[Event]]:
+    """What a track says of the floor, and its events: a person stands, then lies."""
+    frame = np.zeros((*SHAPE, 3), np.uint8)
     silhouette = Silhouette(np.ones((40, 90), bool), 200, 200, "network", truncated=False)
     people = [scene.stands(0.1 * step - 0.5, scene.middle_m) for step in range(10)]
     people += [scene.lies(0.3, scene.middle_m, 0.0, 1.2)] * 10
@@ -299,12 +300,27 @@ def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
     for number, person in enumerate(people):
         seen = replace(person, silhouette=silhouette, presence=1.0)
         track.see(seen, number / 5)
-        tracked, new = track.update(seen, number / 5, frame=frame, floor=scene.floor)
+        tracked, new = track.update(seen, number / 5, frame=frame, floor=floor)
         said.append(tracked.on_floor)
         events += new
+    return said, events
+
+
+def test_a_track_learns_the_floor_and_says_who_lies_on_it() -> None:
+    scene = Scene(1.5, 12, given=True)
+    said, events = fallen(scene, scene.floor)
     assert set(said[:10]) == {None} and (said[-1] or 0) > 0.8
     (lying,) = [one for one in events if one.event == "lying"]
     assert (lying.on_floor or 0) > 0.8
+
+
+def test_a_fall_is_likelier_where_the_person_lies_on_the_floor() -> None:
+    scene = Scene(1.5, 12, given=True)
+    known, unknown = (
+        next(one.probability for one in fallen(scene, floor)[1] if one.event == "fell")
+        for floor in (scene.floor, None)
+    )
+    assert known / (1 - known) == pytest.approx(4 * unknown / (1 - unknown))
 
 
 def test_a_session_says_that_who_fell_lies_on_the_floor(shipped: Estimator) -> None:
