@@ -77,6 +77,7 @@ class Place(BoxFilter):
         """Whether another person was at the expected place since the last sighting."""
         self._patch, self._rests_from = person.patch, -math.inf
         self._still, self._still_from = person.patch, timestamp
+        self._compared_at = timestamp
 
     def see(self, person: Person, timestamp: float) -> None:
         """Note that the person is seen, whose box is added by :meth:`update`."""
@@ -85,8 +86,10 @@ class Place(BoxFilter):
 
     def compare(self, person: Person, frame: Frame, covered: float, timestamp: float) -> None:
         """Keep the first picture since the person last changed; people in front do not count."""
-        if person.patch is None or covered > 0:
+        # Who looks the same for ten minutes is told from others by a look a second.
+        if person.patch is None or covered > 0 or 0 < timestamp - self._compared_at < 1:
             return
+        self._compared_at = timestamp
         if self._still is None or not self._still.is_shown_by(frame):
             self._still, self._still_from = person.patch, timestamp
 
