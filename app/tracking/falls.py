@@ -234,12 +234,6 @@ _UP_FROM, _UP_S = 0.5, 1.0
 _TRUSTED_S, _TRUSTED_FROM = 1.0, 0.1
 _RIGHT = 5 + _POSTURES  # Column of :func:`observation`.
 
-# Odds of the recent past's networks count by this factor, so that .4 becomes .5: of 48 falls of
-# ``../shared/real/scenes`` and ``scenes2`` 41 instead of 38 are reported, and no false one more
-# in 118 films of daily life and ordinary places. From .3 on, two more are false.
-_RECENT_ODDS = 1.5
-
-
 def _weighed(probability: float, factor: float) -> float:
     """The probability whose odds are those of another times a factor."""
     return probability * factor / (1 + (factor - 1) * probability)
@@ -348,9 +342,8 @@ class FallWatch:
         trusted, slowly = rows[times > timestamp - _TRUSTED_S, _RIGHT], 0.0
         if not lost and up < _UP_FROM and trusted.mean() >= _TRUSTED_FROM:
             slowly, _ = long.probabilities(self._window(times, rows, timestamp, long)).tolist()
-        if not lost:
-            fell = _weighed(fell, _RECENT_ODDS)
-        return max(fell, slowly), up
+        # Two pieces of evidence: either memory may see the fall.
+        return 1 - (1 - fell) * (1 - slowly), up
 
     def _window(
         self,
