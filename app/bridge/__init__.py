@@ -4,6 +4,7 @@ Here are its log lines and faults.
 """
 
 import contextlib
+import math
 import sys
 import threading
 import time
@@ -11,6 +12,7 @@ import time
 WAITS_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 RETRY_AFTER_S = 1.0
 _MAX_CHARACTERS = 500
+_SAME_AFTER_S = 60.0
 
 
 class UnavailableError(Exception):
@@ -44,20 +46,28 @@ def printable(text: str) -> str:
 
 
 class Trouble:
-    """A fault that lasts: reported when it begins, when it changes and when it is over."""
+    """A fault that lasts: reported when it begins, when it changes and when it is over.
+
+    One that comes and goes, as of a service with too many cameras, is reported once a minute.
+    """
 
     def __init__(self, over: str) -> None:
-        self._over, self._said, self._failures = over, "", 0
+        self._over, self._text, self._is_said, self._failures = over, "", False, 0
+        self._last_said, self._said_at = "", -math.inf
 
     def report(self, text: str) -> float:
         """Report what is wrong, if that is new; return the seconds to wait before the next try."""
-        if text != self._said:
-            say(text)
-        self._said, self._failures = text, self._failures + 1
+        if text != self._text:
+            now = time.monotonic()
+            self._is_said = text != self._last_said or now - self._said_at >= _SAME_AFTER_S
+            if self._is_said:
+                say(text)
+                self._last_said, self._said_at = text, now
+        self._text, self._failures = text, self._failures + 1
         return WAITS_S[min(self._failures, len(WAITS_S)) - 1]
 
     def end(self) -> None:
-        """Report the end of the fault, if there was one."""
-        if self._said:
+        """Report the end of the fault, if there was one that was reported."""
+        if self._is_said:
             say(self._over)
-        self._said, self._failures = "", 0
+        self._text, self._is_said, self._failures = "", False, 0

@@ -12,7 +12,8 @@ from urllib.parse import urlsplit
 import pytest
 
 import app.bridge as common
-from app.bridge import RefusedError, UnavailableError, printable, say, web
+import app.bridge as common_module
+from app.bridge import RefusedError, Trouble, UnavailableError, printable, say, web
 from app.bridge.outbox import Outbox, deliver
 from app.bridge.web import Webhook
 from tests.app.bridge.servers import Webhook as FakeWebhook
@@ -168,3 +169,20 @@ def test_only_what_would_be_refused_again_is_dropped(status: int, dropped: bool)
         with pytest.raises(RefusedError), serving(hook) as host:
             hook.statuses = [status]
             Webhook(urlsplit(f"http://{host}/")).send(message())
+
+
+def test_a_fault_that_comes_and_goes_is_reported_once_a_minute(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(common_module.time, "monotonic", lambda: now)
+    trouble = Trouble("fine again")
+    for _ in range(61):  # The last time a minute after the first.
+        trouble.report("too busy")
+        trouble.report("too busy")
+        trouble.end()
+        now += 1.0
+    trouble.report("gone")
+    trouble.end()
+    said = [line.split(" ", 1)[1] for line in capsys.readouterr().err.splitlines()]
+    assert said == [*("too busy", "fine again") * 2, "gone", "fine again"]
