@@ -29,13 +29,13 @@ from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.settings import Segmenter
-from app.vision.cutting import cut_out_by_colour, cut_out_changed, foreground
 from app.vision.detector import MIN_DETECTION_SCORE
 from app.vision.detectors.hog import HogDetector
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box
 from app.vision.halved import Frame, whole
 from app.vision.people import Detection, Silhouette
+from app.vision.silhouettes import cut_out_by_colour, cut_out_changed, foreground
 from index.skeleton import rows
 from index.store import PoseIndex
 

@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from app.decoding.pictures import Workers
-from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, PlacedSkeletons, place_skeletons
 from app.estimation.posture import LANDMARK_GROUPS, EstimatedPosture, as_standing, likeliest_posture
@@ -23,7 +22,7 @@ from app.estimation.results import (
     Person,
     ProjectedHypothesis,
 )
-from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.estimation.upload import DecodedUpload, Upload, UploadDecoder, check_bodies
 from app.networks.dense import shipped_network
 from app.networks.shipped import constants_of, file_of
 from app.paper import NoNetworks, PaperFinder

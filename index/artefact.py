@@ -22,8 +22,7 @@ from descriptor.descriptor import restore
 from index import DEFAULT_PATH
 from index.arrays import load_array, load_arrays
 from index.confidence import RERANKING_FEATURES, Calibration
-from index.network import JointNetwork
-from index.reranking import PostureNetwork, RankingModel
+from index.network import JointNetwork, PostureNetwork, RankingModel
 from index.search import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from index.candidates import Candidates
 from index.confidence import Calibration
 from index.modes import Modes
-from index.network import Distributions, Reading, joint_positions
-from index.reranking import RankingModel
+from index.network import Distributions, RankingModel, Reading, joint_positions
 from index.skeleton import JOINTS, pixels_per_metre, rows, with_bone_lengths_of
 
 (_PELVIS,) = rows("pelvis")

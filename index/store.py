@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from descriptor.descriptor import Descriptor
 from index.confidence import Calibration
-from index.reranking import RankingModel
+from index.network import RankingModel
 from index.search import ExactNeighbours, Neighbours
 from index.silhouettes import Silhouettes
 from index.skeleton import POINTS, camera_rotation, project

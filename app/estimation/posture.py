@@ -3,7 +3,7 @@
 Rules name the posture of every hypothesis (:mod:`index.posture`), and each hypothesis votes for it
 with its confidence. Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`).
 In a frame with landmarks, these six decide, and the votes split them into finer ones. Without
-landmarks, the silhouette decides (:mod:`index.reranking`). Over the frames of a track,
+landmarks, the silhouette decides (:mod:`index.network`). Over the frames of a track,
 both are averaged.
 """
 

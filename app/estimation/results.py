@@ -12,10 +12,9 @@ from app.scene import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
-from app.vision.optics import PinholeCamera
+from app.vision.optics import PinholeCamera, Rectification
 from app.vision.people import Landmarks, Silhouette
 from app.vision.person_reader import Seen
-from app.vision.rectification import Rectification
 from app.vision.silhouettes import DrawnSilhouette
 from index.matching import Match, PoseHypothesis
 from index.skeleton import wrap_degrees

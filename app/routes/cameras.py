@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from starlette.types import Scope
 
 from app.api import tracking_schemas as schemas
-from app.api.replay_picture import encode_replay
+from app.api.pictures import encode_replay
 from app.api.replies import camera_reply, replay_reply, settings_from, tracked_fields
 from app.cameras import CameraKey, CameraSessions, Wanted
 from app.configuration import (

@@ -29,8 +29,7 @@ from index.artefact import (
     stored_name,
     version_of,
 )
-from index.network import halve
-from index.reranking import PostureNetwork, RankingModel
+from index.network import PostureNetwork, RankingModel, halve
 from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
 from index.skeleton import NATIVE
 from index.store import PoseIndex

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from app.api.replay_picture import encode_replay
+from app.api.pictures import encode_replay
 from app.estimation.results import Person
 from app.tracking.replay import COCO, Moment, Recorder, Replay
 from app.tracking.results import Event
