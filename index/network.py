@@ -412,7 +412,7 @@ class PostureNetwork:
         return cls(layers, float(arrays["vote_weight"]))
 
     def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """The weight and the layers as they are stored; see :func:`index.network.stored_layers`."""
+        """The weight and the layers as they are stored; see :func:`stored_layers`."""
         return {"vote_weight": np.array(self.vote_weight)} | stored_layers(self.layers)
 
 

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from app.decoding import MIN_STEP_S, Frame
 from app.decoding.confinement import confine, write_message
-from app.vision.kinds import HEAD_BYTES, kind_of
+from app.vision.files import HEAD_BYTES, kind_of
 
 # A frame rate above the maximum is treated as wrong and replaced by the default.
 _DEFAULT_FPS, _MAX_FPS = 25.0, 1000.0

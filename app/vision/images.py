@@ -2,7 +2,7 @@
 
 A PNG of 389 KB can hold 20,000 x 20,000 pixels, which take seconds and gigabytes to decode, so
 format and size are read from the header first. With that, time and memory are bounded for JPEG and
-PNG (:mod:`app.vision.plain`). A few hundred kilobytes of the other formats can take both without
+PNG (:mod:`app.vision.files`). A few hundred kilobytes of the other formats can take both without
 bound; the service decodes them in :mod:`app.decoding`.
 """
 
@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
+from app.vision.files import NotPlainError, kind_of, plain
 from app.vision.halved import HalvedFrame
-from app.vision.kinds import kind_of
-from app.vision.plain import NotPlainError, plain
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
