@@ -249,11 +249,8 @@ class Estimator:
             return fit_poses(self.index, *pair, camera, n, match)
 
         with job.stage("search"):
-            return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
-
-
-# Share of a job's time in which poses are found: the answer has to be written as well.
-_FIT_UNTIL = 0.9
+            # The answer has to be written as well.
+            return job.map_until(0.9, fitted, zip(people, normalised, strict=True))
 
 
 def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:

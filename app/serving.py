@@ -44,9 +44,6 @@ log = logging.getLogger("app")
 
 T = TypeVar("T")
 
-_LOADED_IN_S = 2
-_SEQUENCE_RETRY_S = 10
-
 
 @dataclass
 class Runtime:
@@ -72,7 +69,7 @@ class Runtime:
         """Return the estimator, or raise a problem with status 503."""
         if self.estimator is None:
             # Retrying does not help once loading has failed.
-            retry_after_s = _LOADED_IN_S if self.loading else None
+            retry_after_s = 2 if self.loading else None
             raise overloaded(self.not_ready_because, "not_ready", retry_after_s)
         return self.estimator
 
@@ -87,7 +84,7 @@ class Runtime:
         else:
             return
         sentence = f"expected at most {allowed}; try again later"
-        raise overloaded(sentence, "too_many_sequences", _SEQUENCE_RETRY_S)
+        raise overloaded(sentence, "too_many_sequences", 10)
 
     @contextmanager
     def sequence(self, caller: Caller) -> Iterator[None]:

@@ -32,8 +32,6 @@ _SIGMA_PX, _SIGMA_M = 8.0, 0.15
 OUTLIER_WEIGHT = 0.05
 """Weight of outliers among landmarks, so that no single landmark rules a pose out."""
 
-# Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow.
-_MIN_MASS = 1e-6
 SIZE_RANGE = (0.8, 1.25)
 """Factors by which a body may differ in size from its landmarks."""
 
@@ -116,7 +114,7 @@ class NormalisedLandmarks:
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Likelihoods ``(..., P)`` of landmarks at offsets ``(..., P, 2)`` if not outliers."""
         mass = self.scores * np.exp(squared_lengths(offsets) / (-2 * self.sigma_px**2))
-        mass[mass < _MIN_MASS] = 0
+        mass[mass < 1e-6] = 0  # Arithmetic on denormal numbers is slow.
         return mass
 
 
@@ -167,10 +165,6 @@ def fused_distances(
     return distances * np.exp(-likelihood / DISTANCE_WEIGHT)
 
 
-# The fit: standard deviation of a point about its landmark in pixels, share of the way that a point
-# moves in an iteration, and iterations. Coarse to fine, in 14 iterations, it came no nearer.
-_FIT_SIGMA_PX, _FIT_SHARE, _FIT_ITERATIONS = 10.0, 0.8, 6
-
 _HIP_POINTS = side_rows("hip")
 
 
@@ -195,7 +189,7 @@ def fit_to_landmarks(
         Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
     moved = _moved_in_depth(landmarks, points_3d)
-    blurred = replace(landmarks, sigma_px=_FIT_SIGMA_PX)
+    blurred = replace(landmarks, sigma_px=10.0)
     # In pixels, a move in the picture is one in space.
     scale = pixels_per_metre(points_3d, points_normalised)[:, None, None]
     lengths = bone_lengths(points_3d) * scale[..., 0]
@@ -206,9 +200,9 @@ def fit_to_landmarks(
     exchanged = (sides < 0)[:, None] & (np.arange(len(fitted)) > 0)[:, None]
     rows = np.where(exchanged, OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
     rows = rows + POINTS * np.arange(len(fitted))[:, None]
-    for _ in range(_FIT_ITERATIONS):
+    for _ in range(6):  # Coarse to fine, in 14 iterations, it came no nearer.
         moves = np.zeros_like(about)
-        moves.reshape(-1, 2)[rows] = _FIT_SHARE * _pulls(blurred, about + fitted[..., :2], rows)
+        moves.reshape(-1, 2)[rows] = 0.8 * _pulls(blurred, about + fitted[..., :2], rows)
         fitted[..., :2] += moves
         fitted = with_bone_lengths(fitted, lengths)
         # The pelvis has no landmark and follows the hips.

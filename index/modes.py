@@ -109,13 +109,8 @@ def find_modes(
     return modes.take(distinct)
 
 
-# Exponent of the candidates' weights, since these include part of the evidence of the depths.
-_ENTRY_EXPONENT = 0.3
 _MIN_VARIANCE = 1e-5
 _NORMAL = NormalDist()
-# Alternatives in standard deviations of the posterior along its first two principal axes, which
-# have most of its variance; no two coincide if the first has all.
-_ALONG_AXES = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]])
 
 
 @dataclass(frozen=True)
@@ -158,7 +153,8 @@ def depth_modes(
     precision = np.linalg.inv(errors + 0.2**2 * limbs)
     gain = errors @ precision
     log_weights = np.log(likely_weights(candidates.distances, agreement) + 1e-300)
-    log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
+    # Weights include part of the evidence of the depths.
+    log_shares = 0.3 * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
     shares = np.exp(log_shares - log_shares.max())
     shares /= shares.sum()
     mean = shares @ apart
@@ -170,7 +166,10 @@ def depth_modes(
     mean = gain @ mean
     # Of each axis, the end to which the mean is comes first: the direction of an axis is arbitrary.
     largest *= np.where(mean @ largest < 0, -1.0, 1.0)
-    offsets = mean + _ALONG_AXES @ largest.T
+    # Alternatives in standard deviations along the first two axes, which have most of the variance;
+    # no two coincide if the first has all.
+    along = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]])
+    offsets = mean + along @ largest.T
     # The truth is nearer to an alternative if it is beyond the middle between the two.
     beyond = offsets @ mean - (offsets**2).sum(axis=1) / 2
     deviations = beyond / np.sqrt(((offsets @ covariance) * offsets).sum(axis=1) + _MIN_VARIANCE**2)

@@ -216,8 +216,6 @@ def side_of(keypoints: KeypointSet, *points: int) -> str:
 # Six seconds take 45 kB at most: smooth lines would take twice as much, and lossy compression,
 # which suits photographs, three times.
 _LONGER_PX, _STRIP_PX = 320, 20
-_FIRST_MS = _LAST_MS = 1500
-_MARGIN, _TRACED_EVERY_S = 0.25, 0.5
 _BEYOND, _GROUND, _BODY, _ZONE = 16, 40, 66, 110  # Grey.
 _SINCE: Colour = (80, 80, 255)
 _FACE = ("eye", "ear")
@@ -229,7 +227,7 @@ class _View:
     """The part of the frame that a person crosses, with a margin, as a picture shows it."""
 
     def __init__(self, moments: Sequence[Moment], frame: tuple[int, ...]) -> None:
-        around = reduce(Box.joined, (one.box for one in moments)).grown(_MARGIN)
+        around = reduce(Box.joined, (one.box for one in moments)).grown(0.25)
         part = around.clip(frame[1], frame[0]) or Box(-0.5, -0.5, frame[1], frame[0])
         self._scale = _LONGER_PX / max(part.width, part.height)
         self._corner = np.array([part.x, part.y])
@@ -260,7 +258,7 @@ def encode_replay(event: Event, zones: Sequence[Zone]) -> bytes:
             cv2.polylines(ground, view.at(moment.outline), True, (grey,) * 3)
     first = draw(ground, min(moments, key=lambda one: abs(one.timestamp - event.timestamp)))
     steps = np.diff([one.timestamp for one in moments]) * 1000
-    times = [_FIRST_MS, *np.rint(steps).astype(int).tolist(), _LAST_MS]
+    times = [1500, *np.rint(steps).astype(int).tolist(), 1500]
     image, *others = (Image.fromarray(one[..., ::-1]) for one in (first, *pictures))
     file = io.BytesIO()
     kept = {"save_all": True, "append_images": others, "lossless": True, "method": 3}
@@ -272,7 +270,7 @@ def _traces(moments: Sequence[Moment]) -> list[Moment]:
     """The moments whose outlines stay."""
     kept: list[Moment] = []
     for one in moments:
-        is_due = not kept or one.timestamp >= kept[-1].timestamp + _TRACED_EVERY_S
+        is_due = not kept or one.timestamp >= kept[-1].timestamp + 0.5
         if is_due and len(one.outline):
             kept.append(one)
     return kept

@@ -32,9 +32,6 @@ from app.decoding import MIN_STEP_S, Frame
 from app.decoding.confinement import confine, write_message
 from app.vision.files import HEAD_BYTES, kind_of
 
-# A frame rate above the maximum is treated as wrong and replaced by the default.
-_DEFAULT_FPS, _MAX_FPS = 25.0, 1000.0
-_MAX_TIMESTAMP_S = 1e9
 _MIN_PIXEL_ASPECT = 0.25
 # FFmpeg's messages. Containers other than MP4 and Matroska mark the last packet as corrupt.
 _CUT_OFF = ("partial file", "File ended prematurely")
@@ -282,7 +279,8 @@ class Clock:
     """Ascending timestamps: the video's own or, where they do not ascend, from its frame rate."""
 
     def __init__(self, fps: float) -> None:
-        self._interval_s = 1 / (fps if 0 < fps <= _MAX_FPS else _DEFAULT_FPS)
+        # A higher frame rate is wrong.
+        self._interval_s = 1 / (fps if 0 < fps <= 1000 else 25.0)
         self._began_s = 0.0
         self._last_s: float | None = None
 
@@ -292,7 +290,7 @@ class Clock:
             self._began_s, self._last_s = reported_s or 0.0, 0.0
             return 0.0
         elapsed_s = -math.inf if reported_s is None else reported_s - self._began_s
-        if self._last_s < elapsed_s < _MAX_TIMESTAMP_S:
+        if self._last_s < elapsed_s < 1e9:
             self._last_s = max(elapsed_s, self._last_s + MIN_STEP_S)
         else:
             self._last_s += self._interval_s
@@ -310,8 +308,6 @@ _STREAM_OPTIONS = {
 }
 _PORTS = {"rtsp": 554, "rtsps": 322, "http": 80, "https": 443, "rtmp": 1935}
 _STREAM_TIMEOUT_S = 10.0  # Longest time for which a stream may send nothing.
-_MEMORY_BYTES = 640 * 1024**2
-_NICENESS = 5
 
 
 def main() -> None:
@@ -332,8 +328,8 @@ def main() -> None:
             source, opening = reachable(stdin.readline().decode().rstrip("\n"), _STREAM_TIMEOUT_S)
         except (OSError, ValueError):  # Which may name a part of the address.
             sys.exit(1)
-    os.nice(_NICENESS)
-    missing = confine(options.max_seconds, _MEMORY_BYTES, network=options.stream)
+    os.nice(5)
+    missing = confine(options.max_seconds, 640 * 1024**2, network=options.stream)
     if missing:
         print(f"a video is decoded without seccomp: {missing}", file=sys.stderr)
     with suppress(BrokenPipeError), os.fdopen(sys.stdout.fileno(), "wb", closefd=False) as out:

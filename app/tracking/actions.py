@@ -58,9 +58,6 @@ _OUTWARD = {"left": np.array([1.0, 1.0, 1.0]), "right": np.array([-1.0, 1.0, 1.0
 MIN_VOTE = 0.02
 """Share of the votes for an action that no hypothesis shows."""
 
-# Log odds of everyday actions against exercises if the motion of limbs is not seen.
-_EVERYDAY_LOG_ODDS = math.log(10)
-
 
 @dataclass(frozen=True)
 class ActionModel:
@@ -93,7 +90,8 @@ class ActionModel:
         less clearly the picture shows the limbs' motion, 0 to 1, the more weight everyday actions
         get.
         """
-        everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
+        # Their odds against exercises are ten if the motion of limbs is not seen.
+        everyday = math.log(10) * np.isin(self.actions, _EVERYDAY)
         shown = features @ self.weights.T + self.offsets
         odds = limb_clarity * shown + (1 - limb_clarity) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
@@ -118,10 +116,6 @@ def shipped_model() -> ActionModel:
 WINDOW_S = 3.0
 """Motion from which an action is recognised."""
 
-# Poses closer together only add memory: motion is sampled at 10 Hz.
-_MIN_STEP_S = 1 / 40
-# After a longer gap without a pose the window starts afresh.
-_MAX_GAP_S = 1.0
 FULL_WEIGHT_PX = LANDMARK_PX
 """Height from which limbs' motion counts in full."""
 
@@ -161,10 +155,10 @@ class ActionRecogniser:
         self, timestamp: float, body: SeenBody, hypotheses: Sequence[ProjectedHypothesis]
     ) -> None:
         elapsed = timestamp - self._window[-1][0] if self._window else math.inf
-        if elapsed > _MAX_GAP_S:
+        if elapsed > 1.0:
             self._window.clear()
             self._last_result = None
-        if elapsed >= _MIN_STEP_S:
+        if elapsed >= 1 / 40:  # Closer poses only add memory: motion is sampled at 10 Hz.
             self._window.append((timestamp, body, self._model.votes(hypotheses)))
         while timestamp - self._window[0][0] > WINDOW_S:
             self._window.popleft()

@@ -207,21 +207,7 @@ who is lost, for which crowds mostly have other reasons.
 Chosen on held-out simulated tracks, the first with a look at real films (docs/training.md).
 """
 
-# Probability that the trunk is up, and the time for which it must be as high, before another fall
-# is reported.
-_UP_FROM, _UP_S = 0.5, 1.0
-
-
-# The long memory is asked only about people who are not up and whose landmarks were right with this
-# probability on average in the last second. Otherwise a parked car that is detected as a lying
-# person is reported as a fall in the end.
-_TRUSTED_S, _TRUSTED_FROM = 1.0, 0.1
-_RIGHT = 5 + _POSTURES  # Column of :func:`observation`.
-
-# Odds of the recent past's networks count by this factor, so that .4 becomes .5: of 48 falls of
-# ``../shared/real/scenes`` and ``scenes2`` 41 instead of 38 are reported, and no false one more
-# in 118 films of daily life and ordinary places. From .3 on, two more are false.
-_RECENT_ODDS = 1.5
+_UP_FROM = 0.5  # Probability that the trunk is up.
 
 
 def _weighed(probability: float, factor: float) -> float:
@@ -262,7 +248,7 @@ class FallReport:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp
-        elif timestamp - self._up_since >= _UP_S:
+        elif timestamp - self._up_since >= 1.0:
             self.fallen = False
         certain = fell >= self._lost_from if lost else likely >= self._reported_from
         if self.fallen or not certain:
@@ -329,11 +315,17 @@ class FallWatch:
         rows = np.array([row for _, row in self._seen])
         recent, long = shipped_models()
         fell, up = recent.probabilities(self._window(times, rows, timestamp, recent)).tolist()
-        trusted, slowly = rows[times > timestamp - _TRUSTED_S, _RIGHT], 0.0
-        if not lost and up < _UP_FROM and trusted.mean() >= _TRUSTED_FROM:
+        # The long memory is asked only about people who are not up and whose landmarks were rather
+        # right in the last second. Otherwise a parked car that is detected as a lying person is
+        # reported as a fall in the end.
+        trusted, slowly = rows[times > timestamp - 1.0, 5 + _POSTURES], 0.0
+        if not lost and up < _UP_FROM and trusted.mean() >= 0.1:
             slowly, _ = long.probabilities(self._window(times, rows, timestamp, long)).tolist()
         if not lost:
-            fell = _weighed(fell, _RECENT_ODDS)
+            # So that .4 becomes .5: of 48 falls of ``../shared/real/scenes`` and ``scenes2`` 41
+            # instead of 38 are reported, and no false one more in 118 films of daily life and
+            # ordinary places. From .3 on, two more are false.
+            fell = _weighed(fell, 1.5)
         return max(fell, slowly), up
 
     def _window(

@@ -32,10 +32,6 @@ from index.skeleton import (
 MAX_BODIES = 12
 """Hypotheses that count as likely bodies; 30 are no better."""
 
-# Weights of the log of a hypothesis's confidence and, for a person with landmarks, of the log of
-# its distance by silhouette and landmarks: the confidences of all hypotheses that agree with these
-# are near 1.
-_CONFIDENCE_WEIGHT, _LANDMARK_WEIGHT = 1.5, 40.0
 # Height from which landmarks have their full weight: the side of the network's window. Landmarks of
 # smaller people jitter, so motion counts more.
 _FULL_WEIGHT_PX = LANDMARK_PX
@@ -116,9 +112,10 @@ class SeenBody:
 def log_likelihoods(person: Person) -> NDArray[np.float64]:
     """Log likelihoods ``(N,)`` of a person's hypotheses, see :class:`SeenBody`."""
     hypotheses = person.voters
-    result = _CONFIDENCE_WEIGHT * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
+    result = 1.5 * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
     distances = np.array([one.distance for one in hypotheses]) + 1e-9
-    weight = clarity_of(person) * _LANDMARK_WEIGHT
+    # With landmarks, the confidences of all hypotheses that agree with these are near 1.
+    weight = clarity_of(person) * 40.0
     return np.asarray(result - weight * np.log(distances / distances.min()))
 
 

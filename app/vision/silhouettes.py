@@ -101,14 +101,10 @@ def silhouettes_from_labels(image: LabelImage) -> list[Silhouette]:
 
 _EARS, _SHOULDERS = landmark_rows("ear"), landmark_rows("shoulder")
 
-# Landmarks of at least this visibility widen a box, by a margin that is a share of its longer side.
-_MIN_VISIBILITY = 0.5
-_LANDMARK_MARGIN = 0.04
-
 
 def _with_landmarks(box: Box, reading: PoseReading) -> Box:
     """A box widened to the visible landmarks and, where the ears are visible, to the crown."""
-    visible = reading.landmarks.visibility >= _MIN_VISIBILITY
+    visible = reading.landmarks.visibility >= 0.5
     if not visible.any():
         return box
     positions = reading.landmarks.positions[visible]
@@ -118,7 +114,7 @@ def _with_landmarks(box: Box, reading: PoseReading) -> Box:
         )
         # Distance from the ears to the crown, relative to that from the shoulders to the ears.
         positions = np.vstack([positions, ears + 0.7 * (ears - shoulders)])
-    margin = _LANDMARK_MARGIN * max(box.width, box.height)
+    margin = 0.04 * max(box.width, box.height)
     left, top = (positions.min(axis=0) - margin).tolist()
     right, bottom = (positions.max(axis=0) + margin).tolist()
     return box.joined(Box.from_edges(left, top, right, bottom))
@@ -137,9 +133,6 @@ def _region(box: Box, frame_shape: tuple[int, ...]) -> Box | None:
     if left >= width or top >= height:
         return None
     return extended_to_border(inside, frame_shape)
-
-
-_MIN_PROBABILITY = 0.5  # Of a person's pixels; chosen on even-numbered photographs.
 
 
 def _cut_by_mask(
@@ -164,7 +157,7 @@ def _cut_by_mask(
         ]
     )
     own = _probability(reading, to_frame, size)
-    mask = own >= _MIN_PROBABILITY
+    mask = own >= 0.5  # Chosen on even-numbered photographs.
     for rival, wins_ties in rivals:
         theirs = _probability(rival, to_frame, size)
         mask &= own > theirs if wins_ties else own >= theirs
@@ -189,10 +182,6 @@ def _probability(
     return np.asarray(cv2.warpAffine(reading.probability, matrix, size, flags=flags))
 
 
-_MAX_PX = 1920 * 1080  # Larger frames are reduced, since a pixel takes 60 bytes.
-_MAX_GAIN = 2.0  # Largest change of exposure, either way: one f-stop.
-
-
 def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Pixels ``(H, W)`` that changed by more than exposure, noise and shadow explain.
 
@@ -202,7 +191,8 @@ def foreground(frame: NDArray[np.uint8], background: NDArray[np.uint8]) -> NDArr
     if frame.shape != background.shape:
         raise ValueError(f"expected a background of shape {frame.shape}, got {background.shape}")
     height, width = frame.shape[:2]
-    factor = min(1.0, (_MAX_PX / (height * width)) ** 0.5)
+    # Larger frames are reduced, since a pixel takes 60 bytes.
+    factor = min(1.0, (1920 * 1080 / (height * width)) ** 0.5)
     size = max(1, int(factor * width)), max(1, int(factor * height))
     now, scene = (
         np.asarray(cv2.medianBlur(shrink_quickly(image, *size), 3), np.uint8)
@@ -231,12 +221,10 @@ def _in_exposure(scene: NDArray[np.uint8], now: NDArray[np.uint8]) -> NDArray[np
     pairs = np.column_stack([scene[::12, ::12].ravel(), now[::12, ::12].ravel()]).astype(np.float32)
     along, up, x, y = cv2.fitLine(pairs, cv2.DIST_HUBER, 0, 0.01, 0.01).ravel().tolist()
     # If the scene has no contrast, the line may be steep.
-    gain = float(np.clip(up / max(along, 1e-6), 1 / _MAX_GAIN, _MAX_GAIN))
+    # The exposure changes by at most one f-stop, either way.
+    gain = float(np.clip(up / max(along, 1e-6), 0.5, 2.0))
     levels = y + (np.arange(256) - x) * gain
     return np.asarray(cv2.LUT(scene, levels.clip(0, 255).round().astype(np.uint8)), np.uint8)
-
-
-_WIDTHS = (0.15, 1.2)  # Of an upright person, relative to the height.
 
 
 def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[Detection]:
@@ -253,7 +241,8 @@ def upright_regions(changed: NDArray[np.bool_], min_person_px: float) -> list[De
     found = []
     for left, top, width, height, area in cv2.connectedComponentsWithStats(joined)[2][1:].tolist():
         box = Box(left - 0.5, top - 0.5, width, height)
-        if height >= min_person_px and _WIDTHS[0] <= width / height <= _WIDTHS[1]:
+        # Width of an upright person, relative to the height.
+        if height >= min_person_px and 0.15 <= width / height <= 1.2:
             # Share of the box that a body fills.
             found.append(Detection(box, 0.9 * min(1.0, area / (0.4 * box.area))))
     return sorted(found, key=lambda one: -one.score)
@@ -290,13 +279,7 @@ def cut_out_changed(
 
 # Longer side at which a person is cut out: the time grows with the area.
 _LARGEST_PX = 192
-# The background that is learned from, around the box, as a share of its longer side.
-_MARGIN = 0.15
-# Probabilities of a person's pixel from which the pixel certainly, or perhaps, is the person's, and
-# below which it certainly is not. Chosen on rendered people in boxes as inexact as HOG's: with
-# less certainty, GrabCut keeps one garment of a person in two colours.
-_SURE, _LIKELY, _NEVER = 0.8, 0.35, 0.01
-_ROUNDS = 2
+_LIKELY = 0.35  # Probability from which a pixel is perhaps the person's.
 
 
 def cut_out_by_colour(
@@ -328,7 +311,7 @@ def cut_out_by_colour(
 def _cut_by_colour(
     frame: NDArray[np.uint8], box: Box, others: Sequence[Box], shape: NDArray[np.floating]
 ) -> Silhouette | None:
-    region = box.grown(_MARGIN).clip(frame.shape[1], frame.shape[0])
+    region = box.grown(0.15).clip(frame.shape[1], frame.shape[0])
     if region is None:
         return None
     left, top, right, bottom = region.pixels()
@@ -344,14 +327,16 @@ def _cut_by_colour(
     for other in others:
         theirs = _expected(other, shape, (left, top, width, height), size)
         labels[(theirs > own) & (theirs >= _LIKELY)] = cv2.GC_BGD
-    labels[own >= _SURE] = cv2.GC_FGD
-    labels[own < _NEVER] = cv2.GC_BGD
+    # Chosen on rendered people in boxes as inexact as HOG's, as is what is likely: with less
+    # certainty, GrabCut keeps one garment of a person in two colours.
+    labels[own >= 0.8] = cv2.GC_FGD
+    labels[own < 0.01] = cv2.GC_BGD
     is_person = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
     if is_person.all() or not is_person.any():
         return None
     cv2.setRNGSeed(0)  # Of this thread: the same picture gets the same answer.
     models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(image, labels, (0, 0, *size), *models, _ROUNDS, cv2.GC_INIT_WITH_MASK)
+    cv2.grabCut(image, labels, (0, 0, *size), *models, 2, cv2.GC_INIT_WITH_MASK)
     mask = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
     mask = cleaned(mask, max_hole=0.02)
     inside = cv2.resize(mask.astype(np.float32), (width, height)) >= 0.5
