@@ -48,8 +48,6 @@ class Modes:
     ----------
     centres : (M,) int64 array
         Row of each mode's central candidate.
-    votes : (M,) float64 array
-        Share of the candidates' total weight that belongs to each mode.
     distances : (M,) float64 array
         Distance from the query's descriptor to the interpolated descriptor of each mode.
     points_3d : (M, 24, 3) float64 array
@@ -59,7 +57,6 @@ class Modes:
     """
 
     centres: NDArray[np.int64]
-    votes: NDArray[np.float64]
     distances: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
@@ -247,7 +244,6 @@ def _interpolate(
     combinations = _combinations(weights, offsets)
     return Modes(
         np.array(centres),
-        weights.sum(axis=1),
         np.linalg.norm(combinations @ candidates.offsets, axis=1),
         with_bone_lengths_of(
             candidates.points_3d[centres], _combine(combinations, candidates.points_3d)
