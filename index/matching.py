@@ -70,7 +70,8 @@ class PoseHypothesis:
         already applied to the points; and the same plus the roll of the entry's camera.
     distance : float
         The silhouette distance, shortened or lengthened by the agreement with landmarks or, without
-        landmarks, lengthened if a network finds the joints unlikely; see :mod:`index.ranking`.
+        landmarks, lengthened if a network finds the joints unlikely; see
+        :mod:`index.silhouette_matching`.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
     weight : float or None
