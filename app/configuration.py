@@ -170,6 +170,10 @@ class CameraConfiguration(Given):
         None, description="The events that the camera raises; by default, or with null, all."
     )
 
+    def raises(self, event: EventName) -> bool:
+        """Whether the camera raises events of this name."""
+        return self.events is None or event in self.events
+
     @field_validator("zones")
     @classmethod
     def _named_once(cls, zones: list[Zone]) -> list[Zone]:

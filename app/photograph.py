@@ -338,7 +338,6 @@ def _projected(
                 **fields,
                 label=replace(label, roll_deg=one.tilt_deg),
                 points_2d=placed.points_2d[row],
-                pelvis=placed.pelvis[row],
             )
         )
     return tuple(projected)

@@ -17,8 +17,7 @@ from fastapi import Depends, Request
 from pydantic import TypeAdapter, ValidationError
 
 from app import VERSION
-from app.api.replies import settings_from
-from app.cameras import CameraSessions, CameraSettings
+from app.cameras import CameraSessions
 from app.configuration import CameraConfiguration, CameraId
 from app.decoding.pictures import Workers
 from app.http.errors import overloaded
@@ -214,7 +213,7 @@ async def _become_ready_or_say_why(
 _CAMERAS = TypeAdapter(dict[CameraId, CameraConfiguration])
 
 
-def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
+def read_cameras(path: Path | None) -> dict[str, CameraConfiguration]:
     """Read the settings of cameras by their names; none without a file.
 
     The file holds a JSON object: for each name, the body of ``PUT /cameras/{camera_id}``. Raises
@@ -223,12 +222,10 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     if path is None:
         return {}
     try:
-        cameras = _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
+        return _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"
     except ValidationError as error:
         sentence = f"{path}: " + ": ".join(filter(None, located(error)))
-    else:
-        return {name: settings_from(camera) for name, camera in cameras.items()}
     raise SettingsError(f"POSE_CAMERAS_FILE: {sentence}")

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from app.configuration import Zone
 from app.estimation.results import Estimate, Person
 from app.tracking.replay import COCO, Moment
 from app.tracking.results import Event
-from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from app.vision.people import LANDMARK_NAMES
 from index.skeleton import POINT_NAMES, KeypointSet
@@ -281,7 +281,7 @@ def _empty(view: _View, zones: Sequence[Zone]) -> Picture:
     picture = np.full((view.rows + _STRIP_PX, view.columns, 3), _BEYOND, np.uint8)
     picture[: view.rows] = _GROUND
     for zone in zones:
-        (corners,) = view.at(zone.polygon)
+        (corners,) = view.at(np.array(zone.polygon))
         cv2.polylines(picture[: view.rows], [corners], True, (_ZONE,) * 3)
         x, y = corners.min(axis=0).clip(0, [view.columns - 40, view.rows - _STRIP_PX]).tolist()
         _write(picture, zone.name, (x + 4, y + 14), (_ZONE,) * 3)
