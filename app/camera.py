@@ -26,8 +26,7 @@ from app.tracking.zones import Zone, is_outside
 from app.vision.geometry import Box
 from app.vision.halved import Frame
 from app.vision.images import ImageWarning
-from app.vision.optics import Optics, PinholeCamera
-from app.vision.rectification import Rectification
+from app.vision.optics import Optics, PinholeCamera, Rectification
 from app.vision.same_person import colours_of
 from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES

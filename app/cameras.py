@@ -9,15 +9,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
+import numpy as np
+
 from app.camera import CameraSession
-from app.configuration import EVENT_NAMES, EventName
+from app.configuration import CameraConfiguration
+from app.configuration import Zone as ConfiguredZone
 from app.estimation.results import Evidence
 from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import Event, TrackedFrame
 from app.tracking.zones import Zone
-from app.vision.optics import UNKNOWN_OPTICS, Optics
+from app.vision.optics import Optics
 
 EndReason = Literal["forgotten", "idle", "number", "memory", "index"]
 """Why a session ended: on demand, by one of the limits, or because the index was replaced."""
@@ -78,21 +81,13 @@ class SessionSummary:
     memory_bytes: int
 
 
-@dataclass(frozen=True)
-class CameraSettings:
-    """What a caller says about a camera; optics sent with a frame override these."""
-
-    zones: tuple[Zone, ...] = ()
-    optics: Optics = UNKNOWN_OPTICS
-    events: frozenset[EventName] = frozenset(EVENT_NAMES)
-    """The events that the camera raises."""
-
-    def of(self, upload: Upload) -> Upload:
-        """Return the upload with missing camera settings filled in from these."""
-        return replace(upload, optics=upload.optics.or_else(self.optics))
+_NO_SETTINGS = CameraConfiguration.model_validate({})
 
 
-_NO_SETTINGS = CameraSettings()
+def _with_optics(upload: Upload, given: CameraConfiguration) -> Upload:
+    """An upload with missing optics filled in from those of its camera."""
+    optics = Optics(given.fov_deg, given.pixel_aspect, given.roll_deg)
+    return replace(upload, optics=upload.optics.or_else(optics))
 
 
 class Wanted(NamedTuple):
@@ -119,7 +114,7 @@ class CameraSummary:
     """A camera that has a session or settings."""
 
     camera_id: str
-    settings: CameraSettings
+    settings: CameraConfiguration
     session: SessionSummary | None
 
 
@@ -175,14 +170,14 @@ class CameraSessions:
         self,
         create: Callable[[Estimator], CameraSession],
         limits: SessionLimits,
-        configured: Mapping[str, CameraSettings],
+        configured: Mapping[str, CameraConfiguration],
         on_change: Callable[[EndReason | None], None] = lambda reason: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._create, self._limits, self._configured = create, limits, configured
         self._on_change, self._clock = on_change, clock
         self._open: dict[CameraKey, _OpenSession] = {}
-        self._settings: dict[CameraKey, CameraSettings] = {}
+        self._settings: dict[CameraKey, CameraConfiguration] = {}
         self._events: dict[CameraKey, deque[Event]] = {}
         self._lock = threading.Lock()
 
@@ -224,9 +219,11 @@ class CameraSessions:
         if opened is None:
             opened = _OpenSession(self._create(estimator), estimator, self._clock())
         try:
-            opened.session.zones = settings.zones
+            opened.session.zones = [
+                Zone(one.name, one.kind, np.array(one.polygon)) for one in settings.zones
+            ]
             frame = opened.session.process(
-                settings.of(upload),
+                _with_optics(upload, settings),
                 timestamp,
                 wanted.n,
                 job,
@@ -236,7 +233,7 @@ class CameraSessions:
             raised = tuple(
                 replace(one, id=_id_of(one, key))
                 for one in frame.events
-                if one.event in settings.events
+                if settings.raises(one.event)
             )
             frame = replace(frame, events=raised)
             with self._lock:
@@ -258,7 +255,7 @@ class CameraSessions:
         if not self._limits.sessions:
             raise NoSessionsError("this service keeps no camera sessions")
 
-    def configure(self, key: CameraKey, settings: CameraSettings) -> CameraSummary:
+    def configure(self, key: CameraKey, settings: CameraConfiguration) -> CameraSummary:
         """Set zones, optics and events of a camera, from its next frame on.
 
         If the caller has settings for as many other cameras as there may be sessions, the one that
@@ -302,7 +299,7 @@ class CameraSessions:
             self._check_known(key)
             return tuple(self._events.get(key, ()))
 
-    def replay(self, key: CameraKey, event_id: str) -> tuple[Event, tuple[Zone, ...]]:
+    def replay(self, key: CameraKey, event_id: str) -> tuple[Event, list[ConfiguredZone]]:
         """Return an event with its replay, which may still grow, and the camera's zones.
 
         Raises UnknownEventError if there is none, or as `summary` does.
@@ -360,7 +357,7 @@ class CameraSessions:
     def _is_known(self, key: CameraKey) -> bool:
         return key in self._open or key in self._settings or key.camera_id in self._configured
 
-    def _settings_of(self, key: CameraKey) -> CameraSettings:
+    def _settings_of(self, key: CameraKey) -> CameraConfiguration:
         configured = self._configured.get(key.camera_id, _NO_SETTINGS)
         return self._settings.get(key, configured)
 

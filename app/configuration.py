@@ -34,7 +34,6 @@ ZoneKind = Literal["rest", "watch"]
 
 MAX_NAME_CHARACTERS = 64
 MAX_ZONES, MAX_CORNERS = 32, 64
-_MIN_SPREAD_PX = 0.5
 
 FieldOfView = Annotated[
     FiniteFloat,
@@ -76,7 +75,7 @@ Roll = Annotated[
 def has_area(polygon: NDArray[np.float64]) -> bool:
     """Whether the corners ``(P, 2)`` are more than half a pixel away from a common line."""
     spread = np.linalg.svd(polygon - polygon.mean(axis=0), compute_uv=False)[-1]
-    return bool(spread / math.sqrt(len(polygon)) > _MIN_SPREAD_PX)
+    return bool(spread / math.sqrt(len(polygon)) > 0.5)
 
 
 class UnknownNameError(ValueError):
@@ -170,6 +169,10 @@ class CameraConfiguration(Given):
     events: list[EventName] | None = Field(
         None, description="The events that the camera raises; by default, or with null, all."
     )
+
+    def raises(self, event: EventName) -> bool:
+        """Whether the camera raises events of this name."""
+        return self.events is None or event in self.events
 
     @field_validator("zones")
     @classmethod

@@ -31,12 +31,7 @@ from app.settings import Settings, read_settings
 from app.vision.images import configure_pillow
 from index.store import PoseIndex
 
-# Compressing a smaller answer saves less than a packet; an answer with seven hypotheses shrinks to
-# a quarter in half a millisecond, and a higher level takes longer.
-GZIP_FROM_BYTES, GZIP_LEVEL = 1400, 1
 MAX_JSON_BYTES = 256_000  # The largest configuration of a camera that is accepted has 57 kB.
-HELD_FRAMES_BYTES = 128 * 1024**2  # Frames of 4 MB from 32 cameras at once.
-_SWEEP_EVERY_S = 10.0
 
 DESCRIPTION = """
 3D human pose from one camera frame on a plain CPU: silhouettes, Krawtchouk moments and
@@ -129,7 +124,8 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
     frames = UploadLimits(
         settings.max_upload_bytes,
         settings.upload_timeout_s,
-        max(HELD_FRAMES_BYTES, 2 * settings.max_upload_bytes),
+        # Frames of 4 MB from 32 cameras at once.
+        max(128 * 1024**2, 2 * settings.max_upload_bytes),
     )
     videos = UploadLimits(
         settings.max_video_bytes,
@@ -147,7 +143,9 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
         if scope["method"] == "POST" and scope["path"] != sequence.PATH:
             queue.check(identity.caller, identity.stream)
 
-    app.add_middleware(GZipMiddleware, minimum_size=GZIP_FROM_BYTES, compresslevel=GZIP_LEVEL)
+    # Compressing a smaller answer saves less than a packet; an answer with seven hypotheses shrinks
+    # to a quarter in half a millisecond, and a higher level takes longer.
+    app.add_middleware(GZipMiddleware, minimum_size=1400, compresslevel=1)
     app.add_middleware(
         AdmissionMiddleware,
         check=check,
@@ -175,7 +173,7 @@ def _add_middleware(app: FastAPI, runtime: Runtime, table: RouteTable) -> None:
 
 async def _tidy_up(runtime: Runtime) -> None:
     while True:
-        await anyio.sleep(min(runtime.settings.camera_idle_s, _SWEEP_EVERY_S))
+        await anyio.sleep(min(runtime.settings.camera_idle_s, 10.0))
         runtime.sessions.end_idle()
         # Frames leave 30 MB, of which the next one needs a part: getting that back from the system
         # takes as long as a tenth of its work, too long after every frame.

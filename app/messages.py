@@ -10,7 +10,6 @@ from pydantic import BeforeValidator, ValidationError
 # A SearchUnavailableError's own message names a server that does not concern clients.
 SEARCH_FAILED = "the index cannot be searched at present; try again shortly"
 
-_MAX_VALUE_CHARACTERS = 60
 _MAX_DIGITS = 18  # Python refuses to convert thousands of digits.
 _WHOLE = re.compile("[+-]?[0-9]+")
 
@@ -111,7 +110,7 @@ def dotted(steps: Iterable[int | str]) -> str:
 
 
 def shortened(value: object) -> str:
-    text, most = "null" if value is None else repr(value), _MAX_VALUE_CHARACTERS
+    text, most = "null" if value is None else repr(value), 60
     return text if len(text) <= most else f"{text[:most]}..."
 
 

@@ -29,13 +29,13 @@ from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.settings import Segmenter
-from app.vision.cutting import cut_out_by_colour, cut_out_changed, foreground
 from app.vision.detector import MIN_DETECTION_SCORE
 from app.vision.detectors.hog import HogDetector
 from app.vision.detectors.tiles import Picture
 from app.vision.geometry import Box
 from app.vision.halved import Frame, whole
 from app.vision.people import Detection, Silhouette
+from app.vision.silhouettes import cut_out_by_colour, cut_out_changed, foreground
 from index.skeleton import rows
 from index.store import PoseIndex
 
@@ -67,11 +67,7 @@ def extract_silhouettes(
     return cut_out_changed(foreground(frame, background), boxes, checkpoint)
 
 
-# Entries whose mean is the likely shape of a person.
-_SHAPES = 512
-# They stand upright if the head is in the uppermost rows above the pelvis, and both ankles are in
-# the lowest.
-_HEAD_ROWS, _ANKLE_ROWS, _ASIDE = 20, 108, 8
+_SHAPES = 512  # Entries whose mean is the likely shape of a person.
 _HEAD, _PELVIS, *_ANKLES = rows("head", "pelvis", "left_ankle", "right_ankle")
 
 
@@ -79,10 +75,11 @@ def likely_shape(index: PoseIndex) -> NDArray[np.float64]:
     """Mean of silhouettes of upright people: ``(128, 48)``, symmetric, 0 to 1."""
     some = np.unique(np.linspace(0, len(index) - 1, 16 * _SHAPES).astype(int))
     points = index.points(some)[1]
+    # The head is in the uppermost rows above the pelvis, and both ankles are in the lowest.
     upright = (
-        (points[:, _HEAD, 1] < _HEAD_ROWS)
-        & (points[:, _ANKLES, 1] > _ANKLE_ROWS).all(axis=1)
-        & (np.abs(points[:, _HEAD, 0] - points[:, _PELVIS, 0]) < _ASIDE)
+        (points[:, _HEAD, 1] < 20)
+        & (points[:, _ANKLES, 1] > 108).all(axis=1)
+        & (np.abs(points[:, _HEAD, 0] - points[:, _PELVIS, 0]) < 8)
     )
     chosen = some[upright] if upright.any() else some
     mean = index.silhouettes(chosen[:_SHAPES]).mean(axis=0)

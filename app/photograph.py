@@ -11,7 +11,6 @@ from functools import partial
 import numpy as np
 
 from app.decoding.pictures import Workers
-from app.estimation.bodies import check_bodies
 from app.estimation.finder import Models, PeopleFinder
 from app.estimation.poses import NormalisedPerson, PlacedSkeletons, place_skeletons
 from app.estimation.posture import LANDMARK_GROUPS, EstimatedPosture, as_standing, likeliest_posture
@@ -23,7 +22,7 @@ from app.estimation.results import (
     Person,
     ProjectedHypothesis,
 )
-from app.estimation.upload import DecodedUpload, Upload, UploadDecoder
+from app.estimation.upload import DecodedUpload, Upload, UploadDecoder, check_bodies
 from app.networks.dense import shipped_network
 from app.networks.shipped import constants_of, file_of
 from app.paper import NoNetworks, PaperFinder
@@ -250,11 +249,8 @@ class Estimator:
             return fit_poses(self.index, *pair, camera, n, match)
 
         with job.stage("search"):
-            return job.map_until(_FIT_UNTIL, fitted, zip(people, normalised, strict=True))
-
-
-# Share of a job's time in which poses are found: the answer has to be written as well.
-_FIT_UNTIL = 0.9
+            # The answer has to be written as well.
+            return job.map_until(0.9, fitted, zip(people, normalised, strict=True))
 
 
 def _answer(decoded: DecodedUpload, people: Sequence[Person], job: Job) -> Estimate:
@@ -342,7 +338,6 @@ def _projected(
                 **fields,
                 label=replace(label, roll_deg=one.tilt_deg),
                 points_2d=placed.points_2d[row],
-                pelvis=placed.pelvis[row],
             )
         )
     return tuple(projected)

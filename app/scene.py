@@ -22,9 +22,6 @@ from app.vision.geometry import Box, crop, shrink_quickly
 from app.vision.halved import HALF, Frame, seen_at
 from app.vision.images import reduced_grey
 
-# Height in cells of the smallest person wanted, longest side of the picture of a frame, and cells
-# of the picture of a person's place each way.
-_PERSON_CELLS, _MAX_CELLS, _PLACE_CELLS = 8, 640, 16
 # Grey levels from which a frame has changed, and from which a person has moved. In 60 rendered
 # films (once, without a command), a person's picture changes by less in 78 % of pairs of frames in
 # which no joint moves, and in 1.8 % of those in which one moves by a twentieth of the body; most of
@@ -45,11 +42,6 @@ def _changed(before: NDArray[np.uint8], now: NDArray[np.uint8], level: int) -> N
     return np.asarray(np.abs(sums) >= 9 * level)
 
 
-# Up to this change of light and this mean difference besides, grey levels, a patch shows the same:
-# a person who leaves changes it by far more.
-_MAX_LIGHT, _MAX_DIFFERENCE = 15.0, 6.0
-
-
 @dataclass(frozen=True)
 class Patch:
     """A small grey picture ``(16, 16)`` of a box, which is in pixels of the frame."""
@@ -65,13 +57,15 @@ class Patch:
         edges = (round(scale / HALF) * edge for edge in box.scaled(HALF).pixels())
         left, top, right, bottom = edges
         place = crop(pixels, (left, top, right - left, bottom - top))
-        return cls(box, _grey(place, _PLACE_CELLS, _PLACE_CELLS))
+        return cls(box, _grey(place, 16, 16))
 
     def is_shown_by(self, frame: Frame) -> bool:
         """Whether another frame shows the same in this box, perhaps in different light."""
         change = Patch.of(frame, self.box).grey.astype(np.float32) - self.grey
-        light = np.clip(np.median(change), -_MAX_LIGHT, _MAX_LIGHT)
-        return bool(np.abs(change - light).mean() < _MAX_DIFFERENCE)
+        # Up to this change of light and this mean difference besides, grey levels, it shows the
+        # same: a person who leaves changes it by far more.
+        light = np.clip(np.median(change), -15.0, 15.0)
+        return bool(np.abs(change - light).mean() < 6.0)
 
     def is_unchanged_in(self, frame: Frame) -> bool:
         """Whether nothing in this box has changed in another frame, not even a hand."""
@@ -162,7 +156,8 @@ class Scene:
 
 def _small(shape: tuple[int, ...], smallest_px: float) -> tuple[float, int, int]:
     """Scale, height and width of the small pictures of frames of a shape."""
-    scale = min(1.0, _PERSON_CELLS / smallest_px, _MAX_CELLS / max(shape))
+    # The smallest person wanted is eight cells high.
+    scale = min(1.0, 8 / smallest_px, 640 / max(shape))
     height, width = (max(1, round(side * scale)) for side in shape[:2])
     return scale, height, width
 
@@ -180,17 +175,8 @@ _SETTLING_S = 5.0
 # these are dimmed to an eighth, overexposed, or lit from one side or in the middle alone. At most
 # .16 remain if they are blurred by 5 % of their height, covered, exchanged, or shifted by a third.
 
-_BLOCKED_BELOW = 0.25
 # Least difference between neighbouring cells at an edge, grey levels: the mean noise is below 1.
 _MIN_EDGE = 3.0
-# An edge belongs to the view from this mean agreement over the learning time. The edges of people
-# walking over a plain floor do not last.
-_LASTING = 0.7
-# Share of its strength, relative to the local contrast, that an edge must keep; noise is no edge.
-_KEPT_STRENGTH, _MIN_KEPT = 0.4, 0.75
-# Local contrast is that within a quarter of the picture's height. It may fall to a quarter by less
-# light or haze, and double.
-_LOCAL_SHARE, _GAINS = 0.25, (0.5, 4.0)
 # Level of a cell below which nothing shows.
 _DARK_BELOW = 20.0
 
@@ -247,13 +233,15 @@ class View:
     ) -> bool | None:
         """Whether few of the lasting edges remain; None if too few edges could be visible."""
         strength = np.abs(_gradients(usual))
-        counts = (strength >= _MIN_EDGE) & (self._lasting >= _LASTING) & (grey >= _DARK_BELOW)
+        # An edge belongs to the view from this mean agreement over the learning time. The edges of
+        # people walking over a plain floor do not last.
+        counts = (strength >= _MIN_EDGE) & (self._lasting >= 0.7) & (grey >= _DARK_BELOW)
         for left, top, right, bottom in (box.pixels() for box in places):
             counts[max(0, top) : max(0, bottom), max(0, left) : max(0, right)] = False
         # Least share of cells with edges for a decision.
         if counts.mean() < 0.02:
             return None
-        return bool(np.average(agreement[counts], weights=strength[counts]) < _BLOCKED_BELOW)
+        return bool(np.average(agreement[counts], weights=strength[counts]) < 0.25)
 
     def _learn(
         self,
@@ -284,8 +272,10 @@ def edge_agreement(usual: NDArray[np.float32], grey: NDArray[np.uint8]) -> NDArr
     """
     before, now = _gradients(usual), _gradients(grey)
     strength, left_of_it = np.abs(before), np.abs(now)
-    gain = np.clip(_local_contrast(usual) / _local_contrast(grey), *_GAINS)
-    seen = (left_of_it >= _MIN_KEPT) & (gain * left_of_it >= _KEPT_STRENGTH * strength)
+    # Local contrast may fall to a quarter by less light or haze, and double.
+    gain = np.clip(_local_contrast(usual) / _local_contrast(grey), 0.5, 4.0)
+    # An edge must keep this share of its strength; noise is no edge.
+    seen = (left_of_it >= 0.75) & (gain * left_of_it >= 0.4 * strength)
     # The cosine of twice the angle between both.
     cosine = np.real((before * now.conj()) ** 2) / np.maximum((strength * left_of_it) ** 2, 1e-6)
     return np.asarray(seen * cosine, np.float32)
@@ -304,8 +294,8 @@ def _gradients(grey: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.comp
 
 
 def _local_contrast(grey: NDArray[np.float32] | NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Standard deviation around each cell ``(h, w)``, at least .01."""
-    size = (max(3, round(_LOCAL_SHARE * grey.shape[0])),) * 2
+    """Standard deviation within a quarter of the height of each cell ``(h, w)``, at least .01."""
+    size = (max(3, round(0.25 * grey.shape[0])),) * 2
     mean = cv2.boxFilter(grey, cv2.CV_32F, size)
     variance = cv2.sqrBoxFilter(grey, cv2.CV_32F, size) - mean**2
     return np.asarray(np.sqrt(np.maximum(variance, 1e-4)), np.float32)

@@ -17,8 +17,7 @@ from fastapi import Depends, Request
 from pydantic import TypeAdapter, ValidationError
 
 from app import VERSION
-from app.api.replies import settings_from
-from app.cameras import CameraSessions, CameraSettings
+from app.cameras import CameraSessions
 from app.configuration import CameraConfiguration, CameraId
 from app.decoding.pictures import Workers
 from app.http.errors import overloaded
@@ -43,9 +42,6 @@ from index.store import PoseIndex
 log = logging.getLogger("app")
 
 T = TypeVar("T")
-
-_LOADED_IN_S = 2
-_SEQUENCE_RETRY_S = 10
 
 
 @dataclass
@@ -72,7 +68,7 @@ class Runtime:
         """Return the estimator, or raise a problem with status 503."""
         if self.estimator is None:
             # Retrying does not help once loading has failed.
-            retry_after_s = _LOADED_IN_S if self.loading else None
+            retry_after_s = 2 if self.loading else None
             raise overloaded(self.not_ready_because, "not_ready", retry_after_s)
         return self.estimator
 
@@ -87,7 +83,7 @@ class Runtime:
         else:
             return
         sentence = f"expected at most {allowed}; try again later"
-        raise overloaded(sentence, "too_many_sequences", _SEQUENCE_RETRY_S)
+        raise overloaded(sentence, "too_many_sequences", 10)
 
     @contextmanager
     def sequence(self, caller: Caller) -> Iterator[None]:
@@ -217,7 +213,7 @@ async def _become_ready_or_say_why(
 _CAMERAS = TypeAdapter(dict[CameraId, CameraConfiguration])
 
 
-def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
+def read_cameras(path: Path | None) -> dict[str, CameraConfiguration]:
     """Read the settings of cameras by their names; none without a file.
 
     The file holds a JSON object: for each name, the body of ``PUT /cameras/{camera_id}``. Raises
@@ -226,12 +222,10 @@ def read_cameras(path: Path | None) -> dict[str, CameraSettings]:
     if path is None:
         return {}
     try:
-        cameras = _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
+        return _CAMERAS.validate_json(path.read_text("utf-8-sig", errors="replace"))
     except OSError as error:
         reason = error.strerror or type(error).__name__
         sentence = f"expected a file of cameras, got {path}: {reason}"
     except ValidationError as error:
         sentence = f"{path}: " + ": ".join(filter(None, located(error)))
-    else:
-        return {name: settings_from(camera) for name, camera in cameras.items()}
     raise SettingsError(f"POSE_CAMERAS_FILE: {sentence}")

@@ -22,12 +22,10 @@ from descriptor.descriptor import restore
 from index import DEFAULT_PATH
 from index.arrays import load_array, load_arrays
 from index.confidence import RERANKING_FEATURES, Calibration
-from index.network import JointNetwork
-from index.reranking import PostureNetwork, RankingModel
+from index.network import JointNetwork, PostureNetwork, RankingModel
 from index.search import ExactNeighbours, Neighbours
-from index.silhouettes import Silhouettes
 from index.skeleton import NATIVE
-from index.store import PoseIndex
+from index.store import PoseIndex, Silhouettes
 
 FORMAT_VERSION = 4
 MANIFEST = "manifest.json"

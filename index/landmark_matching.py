@@ -141,11 +141,7 @@ def _first_batch(
     return chosen + likeliest_first(left)
 
 
-# Entries nearest to each rotation of the silhouette, and how many of them, those that agree best
-# with the landmarks, make the modes.
-_CANDIDATES, _KEPT = 500, 100
-# The same where the silhouette is not whole: entries of a sample, and how many are kept.
-_SAMPLE, _KEPT_OF_SAMPLE = 1000, 50
+_CANDIDATES = 500  # Entries nearest to each rotation of the silhouette.
 
 
 @dataclass(frozen=True)
@@ -228,11 +224,12 @@ class _LandmarkQuery(Query):
         while True:
             if self.landmarks.whole:
                 found = find_candidates(self.index, queries, growth * _CANDIDATES)
-                kept = self._likeliest(found, found.distances, growth * _KEPT)
+                # Those that agree best with the landmarks make the modes.
+                kept = self._likeliest(found, found.distances, growth * 100)
             else:
-                found = sample_candidates(self.index, queries, growth * _SAMPLE)
+                found = sample_candidates(self.index, queries, growth * 1000)
                 found = _placed_by_landmarks(found, self.landmarks)
-                kept = self._likeliest(found, np.ones(len(found)), growth * _KEPT_OF_SAMPLE)
+                kept = self._likeliest(found, np.ones(len(found)), growth * 50)
             candidates, agreement, weights, typical = kept
             modes = find_modes(candidates, weights, n + SPARE_MODES, agreement.residuals)
             exhausted, known = len(found) <= known, len(found)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_ROWS,
-    LIMBS,
     OTHER_SIDE,
     POINTS,
     bone_lengths,
@@ -33,8 +32,6 @@ _SIGMA_PX, _SIGMA_M = 8.0, 0.15
 OUTLIER_WEIGHT = 0.05
 """Weight of outliers among landmarks, so that no single landmark rules a pose out."""
 
-# Likelihoods below this are set to zero, since arithmetic on denormal numbers is slow.
-_MIN_MASS = 1e-6
 SIZE_RANGE = (0.8, 1.25)
 """Factors by which a body may differ in size from its landmarks."""
 
@@ -54,22 +51,6 @@ class NormalisedLandmarks:
     limb_covariance: NDArray[np.float64]
     whole: bool = True  # whether the photograph shows the person from head to feet
     sigma_px: float = _SIGMA_PX  # standard deviation of a point about its landmark in the picture
-
-    def __post_init__(self) -> None:
-        count, limbs = len(self.rows), len(LIMBS)
-        arrays = (
-            self.positions, self.scores, self.limbs_3d, self.limb_scores, self.limb_covariance
-        )  # fmt: skip
-        shapes, expected = (
-            tuple(a.shape for a in arrays),
-            ((count, 2), (count,), (limbs, 3), (limbs,), (limbs, limbs)),
-        )
-        if shapes != expected:
-            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
-        if not count or not all(0 <= row < POINTS for row in self.rows):
-            raise ValueError(f"expected rows from 0 to {POINTS - 1}, got {self.rows}")
-        if not ((self.scores > 0) & (self.scores <= 1)).all():
-            raise ValueError(f"expected scores above 0 and at most 1, got {self.scores}")
 
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]
@@ -133,7 +114,7 @@ class NormalisedLandmarks:
     def _mass(self, offsets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Likelihoods ``(..., P)`` of landmarks at offsets ``(..., P, 2)`` if not outliers."""
         mass = self.scores * np.exp(squared_lengths(offsets) / (-2 * self.sigma_px**2))
-        mass[mass < _MIN_MASS] = 0
+        mass[mass < 1e-6] = 0  # Arithmetic on denormal numbers is slow.
         return mass
 
 
@@ -184,10 +165,6 @@ def fused_distances(
     return distances * np.exp(-likelihood / DISTANCE_WEIGHT)
 
 
-# The fit: standard deviation of a point about its landmark in pixels, share of the way that a point
-# moves in an iteration, and iterations. Coarse to fine, in 14 iterations, it came no nearer.
-_FIT_SIGMA_PX, _FIT_SHARE, _FIT_ITERATIONS = 10.0, 0.8, 6
-
 _HIP_POINTS = side_rows("hip")
 
 
@@ -212,7 +189,7 @@ def fit_to_landmarks(
         Of the same shapes; bones keep their lengths, and the face moves with the head.
     """
     moved = _moved_in_depth(landmarks, points_3d)
-    blurred = replace(landmarks, sigma_px=_FIT_SIGMA_PX)
+    blurred = replace(landmarks, sigma_px=10.0)
     # In pixels, a move in the picture is one in space.
     scale = pixels_per_metre(points_3d, points_normalised)[:, None, None]
     lengths = bone_lengths(points_3d) * scale[..., 0]
@@ -223,9 +200,9 @@ def fit_to_landmarks(
     exchanged = (sides < 0)[:, None] & (np.arange(len(fitted)) > 0)[:, None]
     rows = np.where(exchanged, OTHER_SIDE[list(landmarks.rows)], landmarks.rows)
     rows = rows + POINTS * np.arange(len(fitted))[:, None]
-    for _ in range(_FIT_ITERATIONS):
+    for _ in range(6):  # Coarse to fine, in 14 iterations, it came no nearer.
         moves = np.zeros_like(about)
-        moves.reshape(-1, 2)[rows] = _FIT_SHARE * _pulls(blurred, about + fitted[..., :2], rows)
+        moves.reshape(-1, 2)[rows] = 0.8 * _pulls(blurred, about + fitted[..., :2], rows)
         fitted[..., :2] += moves
         fitted = with_bone_lengths(fitted, lengths)
         # The pelvis has no landmark and follows the hips.

@@ -25,7 +25,7 @@ from index.posture import (
     lying_elevation_deg,
     vote_posture,
 )
-from index.skeleton import POINTS, mean_joint_distance, rotate_clockwise, wrap_degrees
+from index.skeleton import mean_joint_distance, rotate_clockwise, wrap_degrees
 from index.store import PoseIndex
 
 DEFAULT_HYPOTHESES = 7
@@ -70,7 +70,8 @@ class PoseHypothesis:
         already applied to the points; and the same plus the roll of the entry's camera.
     distance : float
         The silhouette distance, shortened or lengthened by the agreement with landmarks or, without
-        landmarks, lengthened if a network finds the joints unlikely; see :mod:`index.ranking`.
+        landmarks, lengthened if a network finds the joints unlikely; see
+        :mod:`index.silhouette_matching`.
     adjusted_m : float
         Mean joint distance from the skeleton of the entry.
     weight : float or None
@@ -105,13 +106,6 @@ class PoseHypothesis:
     in_depth: bool = False
     twin: bool = False
     features: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-
-    def __post_init__(self) -> None:
-        if self.points_3d.shape != (POINTS, 3) or self.points_normalised.shape != (POINTS, 2):
-            raise ValueError(
-                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
-                f"got {self.points_3d.shape} and {self.points_normalised.shape}"
-            )
 
 
 @dataclass(frozen=True)

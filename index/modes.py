@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.landmarks import Agreement, NormalisedLandmarks
-from index.skeleton import JOINTS, LIMBS, POINTS, with_bone_lengths_of
+from index.skeleton import JOINTS, LIMBS, with_bone_lengths_of
 
 DISTINCT_M = 0.11
 """Smallest root mean square joint distance between the centres of two modes; half of it is enough
@@ -48,8 +48,6 @@ class Modes:
     ----------
     centres : (M,) int64 array
         Row of each mode's central candidate.
-    votes : (M,) float64 array
-        Share of the candidates' total weight that belongs to each mode.
     distances : (M,) float64 array
         Distance from the query's descriptor to the interpolated descriptor of each mode.
     points_3d : (M, 24, 3) float64 array
@@ -59,17 +57,9 @@ class Modes:
     """
 
     centres: NDArray[np.int64]
-    votes: NDArray[np.float64]
     distances: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        count = len(self.centres)
-        expected = ((count,),) * 3 + ((count, POINTS, 3), (count, POINTS, 2))
-        got = tuple(array.shape for array in vars(self).values())
-        if got != expected:
-            raise ValueError(f"expected arrays of shapes {expected}, got {got}")
 
     def __len__(self) -> int:
         return len(self.centres)
@@ -116,13 +106,8 @@ def find_modes(
     return modes.take(distinct)
 
 
-# Exponent of the candidates' weights, since these include part of the evidence of the depths.
-_ENTRY_EXPONENT = 0.3
 _MIN_VARIANCE = 1e-5
 _NORMAL = NormalDist()
-# Alternatives in standard deviations of the posterior along its first two principal axes, which
-# have most of its variance; no two coincide if the first has all.
-_ALONG_AXES = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]])
 
 
 @dataclass(frozen=True)
@@ -165,7 +150,8 @@ def depth_modes(
     precision = np.linalg.inv(errors + 0.2**2 * limbs)
     gain = errors @ precision
     log_weights = np.log(likely_weights(candidates.distances, agreement) + 1e-300)
-    log_shares = _ENTRY_EXPONENT * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
+    # Weights include part of the evidence of the depths.
+    log_shares = 0.3 * log_weights - ((apart @ precision) * apart).sum(axis=1) / 2
     shares = np.exp(log_shares - log_shares.max())
     shares /= shares.sum()
     mean = shares @ apart
@@ -177,7 +163,10 @@ def depth_modes(
     mean = gain @ mean
     # Of each axis, the end to which the mean is comes first: the direction of an axis is arbitrary.
     largest *= np.where(mean @ largest < 0, -1.0, 1.0)
-    offsets = mean + _ALONG_AXES @ largest.T
+    # Alternatives in standard deviations along the first two axes, which have most of the variance;
+    # no two coincide if the first has all.
+    along = np.array([[1.2, 0], [-1.2, 0], [0.4, 1.2], [-0.4, -1.2], [2.2, 0]])
+    offsets = mean + along @ largest.T
     # The truth is nearer to an alternative if it is beyond the middle between the two.
     beyond = offsets @ mean - (offsets**2).sum(axis=1) / 2
     deviations = beyond / np.sqrt(((offsets @ covariance) * offsets).sum(axis=1) + _MIN_VARIANCE**2)
@@ -255,7 +244,6 @@ def _interpolate(
     combinations = _combinations(weights, offsets)
     return Modes(
         np.array(centres),
-        weights.sum(axis=1),
         np.linalg.norm(combinations @ candidates.offsets, axis=1),
         with_bone_lengths_of(
             candidates.points_3d[centres], _combine(combinations, candidates.points_3d)

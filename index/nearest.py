@@ -88,14 +88,8 @@ def reprojection_confidence(errors_px: NDArray[np.float64]) -> NDArray[np.float6
 def _hypotheses(
     query: Query, entries: Candidates, errors_px: NDArray[np.float64]
 ) -> list[PoseHypothesis]:
-    count = len(entries)
-    each = Modes(
-        np.arange(count),
-        np.full(count, 1 / count),
-        entries.distances,
-        entries.points_3d,
-        entries.points_normalised,
-    )
+    centres = np.arange(len(entries))
+    each = Modes(centres, entries.distances, entries.points_3d, entries.points_normalised)
     return query.hypotheses(
         entries,
         each,

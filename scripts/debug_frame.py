@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.api.overlay import OUTLINE, PEOPLE, draw_skeleton, write_text
+from app.api.pictures import OUTLINE, PEOPLE, draw_skeleton, write_text
 from app.estimation.poses import NormalisedPerson
 from app.estimation.results import Person
 from app.estimation.upload import Upload

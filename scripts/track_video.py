@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from app.api.overlay import PEOPLE, draw_skeleton, write_text
+from app.api.pictures import PEOPLE, draw_skeleton, write_text
 from app.camera import CameraSession
 from app.decoding import Frame
-from app.decoding.frames import UnreadableError, Video
+from app.decoding.video_program import UnreadableError, Video
 from app.estimation.upload import Upload
 from app.photograph import Estimator, load_estimator
 from app.scheduling.job import Job

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from app.api import schemas, tracking_schemas
 from app.api.schemas import METRE_DIGITS, PIXEL_DIGITS
-from app.cameras import CameraSettings, CameraSummary
-from app.configuration import EVENT_NAMES, CameraConfiguration
+from app.cameras import CameraSummary
+from app.configuration import EVENT_NAMES, Zone
 from app.estimation.results import Estimate, Person, ProjectedHypothesis
 from app.settings import Method
 from app.tracking.results import Event, SmoothedPose, TrackedFrame, TrackedPerson
-from app.tracking.zones import Zone, crosses_itself, is_outside
-from app.vision.optics import Optics
+from app.tracking.zones import crosses_itself, is_outside
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, PoseIndex
@@ -301,26 +300,21 @@ def _flat(points: NDArray[np.float64], keypoints: KeypointSet, digits: int) -> l
 
 def camera_reply(camera: CameraSummary) -> tracking_schemas.CameraState:
     settings, session = camera.settings, camera.session
-    zones, optics = settings.zones, settings.optics
+    polygons = {zone.name: np.array(zone.polygon) for zone in settings.zones}
     return tracking_schemas.CameraState.model_validate(
         {
             "camera_id": camera.camera_id,
-            "zones": _zones(zones),
+            **dict(settings),
             "zones_outside": [
-                zone.name
-                for zone in zones
-                if session and is_outside(zone.polygon, (session.image.height, session.image.width))
+                name
+                for name, polygon in polygons.items()
+                if session and is_outside(polygon, (session.image.height, session.image.width))
             ],
-            "zones_crossing": [zone.name for zone in zones if crosses_itself(zone.polygon)],
-            **vars(optics),
-            "events": [name for name in EVENT_NAMES if name in settings.events],
+            "zones_crossing": [name for name, one in polygons.items() if crosses_itself(one)],
+            "events": [name for name in EVENT_NAMES if settings.raises(name)],
             **(vars(session) if session else _NO_SESSION),
         }
     )
-
-
-def _zones(zones: Sequence[Zone]) -> list[dict[str, Any]]:
-    return [{**vars(zone), "polygon": zone.polygon.tolist()} for zone in zones]
 
 
 _NO_SESSION: dict[str, Any] = {
@@ -338,7 +332,7 @@ def replay_reply(camera_id: str, event: Event, zones: Sequence[Zone]) -> dict[st
         "camera_id": camera_id,
         "event": event,
         "image": {"width": width, "height": height},
-        "zones": _zones(zones),
+        "zones": zones,
         "complete": replay.is_complete,
         "frames": [
             {
@@ -352,16 +346,6 @@ def replay_reply(camera_id: str, event: Event, zones: Sequence[Zone]) -> dict[st
             for one in moments
         ],
     }
-
-
-def settings_from(configuration: CameraConfiguration) -> CameraSettings:
-    """Convert a camera's configuration."""
-    zones = [
-        Zone(zone.name, zone.kind, np.array(zone.polygon, float)) for zone in configuration.zones
-    ]
-    optics = Optics(configuration.fov_deg, configuration.pixel_aspect, configuration.roll_deg)
-    raised = EVENT_NAMES if configuration.events is None else configuration.events
-    return CameraSettings(tuple(zones), optics, frozenset(raised))
 
 
 def _tracked_person(

@@ -16,7 +16,6 @@ from app.bridge.source import Source
 from app.bridge.web import Camera
 from app.decoding import Frame
 
-STATUS_EVERY_S = 10.0
 # Time without a sighting after which a person is gone; a session looks for nobody longer.
 HELD_S = 2.0
 _NO_KEY = (401, 403)
@@ -86,7 +85,7 @@ class Bridge:
             began = time.monotonic()
             answer, wait_s = self._track(frame)
             if answer is not None and began >= status_at:
-                status_at = began + STATUS_EVERY_S
+                status_at = began + 10.0
                 say(f"{status(answer)}; {self.answered} of {frame.number + 1} frames")
                 self._read_settings()
             stopping.wait(max(wait_s, began + 1 / fps - time.monotonic()))

@@ -57,13 +57,9 @@ _ENTITIES: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
 }
 # These stay as they are while the camera is offline.
 _STAYING = ("last_fall", "replay", "events")
-# The broker reports a dead machine after one and a half of these: within BLIND_AFTER_S, too.
-_KEEPALIVE_S = 10
 _ANSWERS_WITHIN_S = 5.0
 _RETRY_AFTER_S = 10.0
 _SILENT_S = 1.0
-# A replay is fetched at once, and again when it is complete.
-_REPLAYED_AFTER_S = (0.0, 4.0)
 
 
 def slug(name: str) -> str:
@@ -137,7 +133,8 @@ class HomeAssistant:
         self._client.on_publish = self._on_publish
         self._client.on_message = self._on_message
         port = address.port or (8883 if address.scheme == "mqtts" else 1883)
-        self._client.connect_async(address.hostname or "", port, _KEEPALIVE_S)
+        # The broker reports a dead machine after one and a half times this, in BLIND_AFTER_S, too.
+        self._client.connect_async(address.hostname or "", port, keepalive=10)
         self._client.loop_start()
 
     def send(self, message: Message) -> None:
@@ -147,7 +144,8 @@ class HomeAssistant:
         if message["event"] == "fell" and message["id"] != self._fall_shown:
             self._fell_until = time.monotonic() + FELL_SHOWN_S
             self._fall_shown = message["id"]
-            self._replays_at = [time.monotonic() + after_s for after_s in _REPLAYED_AFTER_S]
+            # At once, and again when it is complete.
+            self._replays_at = [time.monotonic(), time.monotonic() + 4.0]
             with self._changed:
                 fall = json.dumps({**message, "state": "ON"})
                 self._set(fell=fall, last_fall=message["time"])

@@ -15,11 +15,6 @@ from app.bridge import Trouble, say
 from app.decoding import Frame
 from app.decoding.videos import Decoder, VideoError
 
-# A clock that was set by more is read anew. It is longer than the service's 5 s after which a frame
-# that is earlier than the last begins anew, so none is refused for being late.
-_CLOCK_SET_S = 6.0
-# A recording plays on at once where its time jumps by more.
-_JUMP_S = 10.0
 _POLL_S = 0.2
 
 
@@ -83,7 +78,7 @@ class Source:
             began = min(began, moment)  # With the first frame.
             if self.is_file:
                 # Play it as fast as it was filmed.
-                if elapsed_s - last_s > _JUMP_S:
+                if elapsed_s - last_s > 10.0:  # A recording plays on at once.
                     began -= elapsed_s - last_s
                 moment, last_s = began + elapsed_s, elapsed_s
                 self._closed.wait(max(0.0, moment - time.monotonic()))
@@ -96,7 +91,9 @@ class Source:
     def _time_of_day(self, moment: float) -> float:
         """Unix seconds of the monotonic clock; a machine may get the time late, or be suspended."""
         clock_s = time.time() - time.monotonic()
-        if abs(clock_s - self._clock_s) > _CLOCK_SET_S:
+        # Longer than the 5 s after which the service takes an earlier frame for a new beginning, so
+        # that none is refused for being late.
+        if abs(clock_s - self._clock_s) > 6.0:
             say(f"the clock of this machine was set by {clock_s - self._clock_s:+.0f} s")
             self._clock_s = clock_s
         return self._clock_s + moment

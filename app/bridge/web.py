@@ -18,8 +18,6 @@ from app.decoding import Frame
 
 _FRAME_TIMEOUT_S, _EVENT_TIMEOUT_S = 20.0, 10.0
 _MAX_REPLY_BYTES = 16 * 2**20
-# Statuses after which the same event would be refused again.
-_REFUSED_AGAIN = (400, 405, 410, 413, 415, 422)
 
 
 class Connection:
@@ -175,7 +173,8 @@ class Webhook:
         try:
             self._connection.request("POST", self._target, json.dumps(message).encode(), headers)
         except RefusedError as refusal:
-            if refusal.status in _REFUSED_AGAIN:
+            # The same event would be refused again.
+            if refusal.status in (400, 405, 410, 413, 415, 422):
                 raise
             raise UnavailableError(str(refusal)) from refusal
         finally:

@@ -30,10 +30,6 @@ Checkpoint = Callable[[], None]
 
 # A message: the bytes of a JSON object, and of what follows it, then the two.
 _HEAD = struct.Struct(">II")
-_MAX_JSON_BYTES = 10_000
-_PIPE_BYTES = 2**20
-_CHECKED_EVERY_MS = 50
-_MAX_SAID_BYTES = 300
 # Not the keys and passwords that the environment may hold.
 _NEEDED = ("PATH", "LD_LIBRARY_PATH", "PYTHONPATH", "PYTHONHOME", "PYTHONDONTWRITEBYTECODE", "LANG")
 # Programs are run from here, so that they find their modules.
@@ -89,7 +85,7 @@ class Program:
         assert self._process.stdout is not None
         self.pid, self._out = self._process.pid, self._process.stdout.fileno()
         with suppress(OSError, AttributeError):  # Linux only, and within a user's allowance.
-            fcntl.fcntl(self._out, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+            fcntl.fcntl(self._out, fcntl.F_SETPIPE_SZ, 2**20)
         self.said = b""
         self._listener = threading.Thread(target=self._listen, daemon=True)
         self._listener.start()
@@ -121,7 +117,7 @@ class Program:
         """
         text_bytes, data_bytes = _HEAD.unpack(self._read(_HEAD.size, checkpoint).data)
         try:
-            if text_bytes > _MAX_JSON_BYTES or data_bytes > max_bytes:
+            if text_bytes > 10_000 or data_bytes > max_bytes:
                 raise ValueError
             fields = dict(json.loads(self._read(text_bytes, checkpoint).tobytes()))
         except (ValueError, TypeError, RecursionError):
@@ -158,14 +154,14 @@ class Program:
     def _listen(self) -> None:
         assert self._process.stderr is not None
         while chunk := self._process.stderr.read(4096):
-            self.said = (self.said + chunk)[-_MAX_SAID_BYTES:]
+            self.said = (self.said + chunk)[-300:]
 
 
 def _wait_for(pipe: int, event: int, checkpoint: Checkpoint) -> None:
     poll = select.poll()
     poll.register(pipe, event)
     checkpoint()
-    while not poll.poll(_CHECKED_EVERY_MS):
+    while not poll.poll(50):
         checkpoint()
 
 

@@ -21,9 +21,6 @@ Decoded = tuple[NDArray[Any], tuple[Any, ...]]
 # Sound ones of 12 megapixels take up to 1 s.
 _MAX_SECONDS = 2.0
 _LIFETIME_S = 600  # Processor time of a process, after which another one takes its place.
-# Address space of a process: 70 MB at rest, of which 26 MB are in memory. A file may be there
-# twice. A transparent WebP takes 28 bytes for each pixel, other files less.
-_BASE_BYTES, _PER_BYTE, _PER_PIXEL = 100 * 1024**2, 2, 32
 _CHECKED_EVERY_S = 0.05
 _BYTES_PER_PIXEL = 3  # Of a photograph; labels have 1 or 2.
 
@@ -32,7 +29,9 @@ log = logging.getLogger("app")
 
 def _memory(data_bytes: int, pixels: int = 0) -> int:
     """Address space for a file and its pixels."""
-    return _BASE_BYTES + _PER_BYTE * data_bytes + _PER_PIXEL * pixels
+    # 70 MB at rest, of which 26 MB are in memory. A file may be there twice. A transparent WebP
+    # takes 28 bytes for each pixel, other files less.
+    return 100 * 1024**2 + 2 * data_bytes + 32 * pixels
 
 
 class Allowance:

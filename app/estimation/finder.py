@@ -7,7 +7,6 @@ from functools import partial
 from app.estimation.results import Evidence, Person, Source
 from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
-from app.vision.cutting import cut_out_changed, foreground, upright_regions
 from app.vision.detector import NetworkDetector
 from app.vision.detectors.tiles import smallest_person_px, tiles_of
 from app.vision.geometry import Box, PersonWindow
@@ -16,7 +15,14 @@ from app.vision.judgement import JudgedReading, PhotographModels
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader, Seen, agreement
 from app.vision.same_person import first_of_body
-from app.vision.silhouettes import DrawnSilhouette, silhouettes_from_labels, silhouettes_of
+from app.vision.silhouettes import (
+    DrawnSilhouette,
+    cut_out_changed,
+    foreground,
+    silhouettes_from_labels,
+    silhouettes_of,
+    upright_regions,
+)
 from app.vision.truncation import attenuate_visibility_at_border, end_beyond_border
 
 

@@ -37,12 +37,6 @@ _LIMBS = rows(*LIMBS, among=LANDMARK_NAMES)
 _ANKLES = landmark_rows("ankle")
 _HEAD = rows("nose", "left_ear", "right_ear", among=LANDMARK_NAMES)
 
-# Visibility above which a landmark is used for matching.
-_MIN_VISIBILITY = 0.05
-# Least visibility of the more visible ankle, and of the most visible point of the head, for a
-# person visible from head to feet.
-_MIN_FEET_VISIBILITY, _MIN_HEAD_VISIBILITY = 0.35, 0.2
-
 
 @dataclass(frozen=True)
 class NormalisedPerson:
@@ -74,12 +68,12 @@ class NormalisedPerson:
     @property
     def feet_visible(self) -> bool:
         """Whether the photograph shows a foot; true without landmarks."""
-        return self._shows(_ANKLES, _MIN_FEET_VISIBILITY)
+        return self._shows(_ANKLES, 0.35)
 
     @property
     def whole(self) -> bool:
         """Whether the photograph shows the person from head to feet; true without landmarks."""
-        return self.feet_visible and self._shows(_HEAD, _MIN_HEAD_VISIBILITY)
+        return self.feet_visible and self._shows(_HEAD, 0.2)
 
     def _shows(self, rows: Sequence[int], min_visibility: float) -> bool:
         """Whether the photograph shows one of these landmarks; true without any."""
@@ -91,7 +85,7 @@ class NormalisedPerson:
         if self.landmarks is None:
             return None
         scores = self.landmarks.visibility[_LANDMARKS]
-        used = np.flatnonzero(scores > _MIN_VISIBILITY)
+        used = np.flatnonzero(scores > 0.05)
         # With fewer landmarks, a person is matched by the silhouette alone.
         if len(used) < 4:
             return None
@@ -130,10 +124,6 @@ class PlacedSkeletons:
     points_3d: NDArray[np.float64]
     points_2d: NDArray[np.float64]
     pelvis: NDArray[np.float64]
-
-
-# Least forward component of a joint's line of sight, and its least distance.
-_MIN_FORWARD, _MIN_DISTANCE_M = 0.05, 0.1
 
 
 def place_skeletons(
@@ -190,10 +180,8 @@ def place_skeletons(
     pixels = points_2d.copy()
     pixels[each, rows] += visible[:, None] * (seen - pixels[each, rows])
     lines = camera.rays(pixels) @ line.T
-    lines = lines / np.maximum(lines[..., 2:], _MIN_FORWARD)
-    return _about_pelvis(
-        lines * np.maximum(depth + depths, _MIN_DISTANCE_M)[..., None] @ line, pixels
-    )
+    lines = lines / np.maximum(lines[..., 2:], 0.05)
+    return _about_pelvis(lines * np.maximum(depth + depths, 0.1)[..., None] @ line, pixels)
 
 
 def _as_they_are(

@@ -3,7 +3,7 @@
 Rules name the posture of every hypothesis (:mod:`index.posture`), and each hypothesis votes for it
 with its confidence. Landmarks give the probabilities of six postures (:mod:`app.vision.judgement`).
 In a frame with landmarks, these six decide, and the votes split them into finer ones. Without
-landmarks, the silhouette decides (:mod:`index.reranking`). Over the frames of a track,
+landmarks, the silhouette decides (:mod:`index.network`). Over the frames of a track,
 both are averaged.
 """
 
@@ -75,9 +75,6 @@ _LYING = np.array([posture == "lying" for posture in POSTURES], np.float64)
 _SETTLING_S = 0.4
 # Longest gap that counts: after a longer one, the newest frame has no more weight.
 _MAX_STEP_S = 1.0
-# Width over height of a box from which the person is probably lying, and the exponent of this ratio
-# in the odds.
-_WIDE_FROM, _WIDE_SLOPE = 1.2, 3.0
 
 
 class PostureFilter:
@@ -124,5 +121,4 @@ class PostureFilter:
 
     def _wide(self, box: Box) -> float:
         """Probability that the person in a box lies, from its shape alone."""
-        narrowness = _WIDE_FROM * box.height / box.width
-        return float(1 / (1 + narrowness**_WIDE_SLOPE))
+        return float(1 / (1 + (1.2 * box.height / box.width) ** 3))

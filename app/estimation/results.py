@@ -12,10 +12,9 @@ from app.scene import Patch
 from app.vision.geometry import Box, PersonWindow
 from app.vision.images import ImageWarning
 from app.vision.judgement import FramePosture, Trust
-from app.vision.optics import PinholeCamera
+from app.vision.optics import PinholeCamera, Rectification
 from app.vision.people import Landmarks, Silhouette
 from app.vision.person_reader import Seen
-from app.vision.rectification import Rectification
 from app.vision.silhouettes import DrawnSilhouette
 from index.matching import Match, PoseHypothesis
 from index.skeleton import wrap_degrees
@@ -46,12 +45,11 @@ class ProjectedHypothesis(PoseHypothesis):
     """A hypothesis with the label of its entry, placed in front of the camera.
 
     ``points_3d`` are in the camera's axes and in the person's size, ``points_2d`` ``(24, 2)``
-    pixels of the frame, ``pelvis`` ``(3,)`` metres from the camera, in its axes.
+    pixels of the frame.
     """
 
     label: Label
     points_2d: NDArray[np.float64]
-    pelvis: NDArray[np.float64]
 
     def as_sent(self, rectification: Rectification) -> Self:
         """The same in pixels and axes of the frame as it was sent."""
@@ -61,7 +59,6 @@ class ProjectedHypothesis(PoseHypothesis):
             label=replace(self.label, roll_deg=roll_deg) if rectification.quarters else self.label,
             points_2d=rectification.points_sent(self.points_2d),
             points_3d=rectification.axes_sent(self.points_3d),
-            pelvis=rectification.axes_sent(self.pelvis),
         )
 
 

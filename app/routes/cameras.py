@@ -9,8 +9,8 @@ from pydantic import ValidationError
 from starlette.types import Scope
 
 from app.api import tracking_schemas as schemas
-from app.api.replay_picture import encode_replay
-from app.api.replies import camera_reply, replay_reply, settings_from, tracked_fields
+from app.api.pictures import encode_replay
+from app.api.replies import camera_reply, replay_reply, tracked_fields
 from app.cameras import CameraKey, CameraSessions, Wanted
 from app.configuration import (
     CAMERA_PATTERN,
@@ -240,8 +240,7 @@ async def configure_camera(
     file. A caller may configure as many cameras as there may be sessions; beyond that, one that has
     sent no frame is forgotten for the new one.
     """
-    settings = settings_from(configuration)
-    return camera_reply(runtime_of(request).sessions.configure(camera, settings))
+    return camera_reply(runtime_of(request).sessions.configure(camera, configuration))
 
 
 @router.delete(

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import Response
 
 from app import VERSION
-from app.api.overlay import encode_png
+from app.api.pictures import encode_png
 from app.api.replies import entry_reply, index_reply
 from app.api.schemas import EntryResponse, IndexResponse
 from app.http.errors import ProblemError

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import Response
 
-from app.api.overlay import draw_labels, draw_overlay, draw_silhouettes, encode_png
+from app.api.pictures import draw_labels, draw_overlay, draw_silhouettes, encode_png
 from app.api.replies import pose_reply
 from app.api.schemas import PoseResponse
 from app.estimation.results import Evidence

@@ -22,7 +22,6 @@ from app.vision.optics import Optics
 from index.matching import DEFAULT_HYPOTHESES
 from index.skeleton import KEYPOINT_SETS
 
-_MAX_NAME_CHARACTERS = 60
 _LATEST_MS = round(1000 * LATEST_TIMESTAMP_S)
 
 
@@ -93,7 +92,7 @@ def check_names(given: Iterable[str], known: Collection[str], kind: str) -> None
     """Raise a 422 for the first name that is not known, and suggest a similar one."""
     for name in given:
         if name not in known:
-            short = name[:_MAX_NAME_CHARACTERS]
+            short = name[:60]
             raise invalid(short, expected_name(short, known, kind))
 
 

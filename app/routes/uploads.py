@@ -129,9 +129,6 @@ _TRACK_IDS = TypeAdapter(
 )
 _TIMESTAMP = TypeAdapter[float](Timestamp)
 
-_MAX_ITEM_CHARACTERS = 256  # Of a box or a track id, spaces and line breaks included.
-
-
 _OR_A_PHOTOGRAPH = (
     "A form, or a photograph alone: as `application/octet-stream`, `image/jpeg` or any other type "
     "of image."
@@ -202,7 +199,7 @@ def _parse_boxes(text: str, settings: Settings) -> list[Box]:
 
 
 def _check_length(field: str, text: str, settings: Settings) -> None:
-    most = settings.max_persons * _MAX_ITEM_CHARACTERS
+    most = settings.max_persons * 256  # Spaces and line breaks included.
     if len(text) > most:
         longest = f"a list of at most {most} characters"
         raise UploadError(field, f"{field}: expected {longest}, got {len(text)}")

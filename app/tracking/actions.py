@@ -22,10 +22,11 @@ from app.estimation.results import Person, ProjectedHypothesis
 from app.networks.probabilities import softmax
 from app.networks.shipped import arrays_of
 from app.tracking.motion import ground_path
-from app.tracking.results import RecognisedAction, SmoothedPose
+from app.tracking.results import RecognisedAction
+from app.tracking.seen_body import SeenBody
 from app.vision.blazepose import LANDMARK_PX
 from index.posture import ON_THE_GROUND, PostureName, camera_up
-from index.skeleton import JOINT_NAMES, JOINTS, POINT_NAMES, wrap_degrees
+from index.skeleton import JOINT_NAMES, JOINTS, wrap_degrees
 
 _EVERYDAY = ("lie", "sit", "stand", "walk", "run")
 """Actions that are likelier than exercises if the limbs' motion is not visible."""
@@ -49,50 +50,13 @@ _SPEED_BANDS = ((0.0, 0.3), (0.3, 0.6), (0.6, 1.0), (1.5, 3.0))
 """Metres a second: on the spot, shifting, walking, and faster than a walk. With these bands a
 linear model can recognise walking, which is a range of speeds."""
 
-_PELVIS = POINT_NAMES.index("pelvis")
 _TRUNK = ("spine", "chest", "head")
 _LIMBS = ("elbow", "wrist", "knee", "ankle")
 _OUTWARD = {"left": np.array([1.0, 1.0, 1.0]), "right": np.array([-1.0, 1.0, 1.0])}
 
 
-@dataclass(frozen=True)
-class PoseSample:
-    """A pose at a moment, in seconds.
-
-    Points ``(24, 3)`` are in camera axes, metres, about the pelvis, which is at ``pelvis_px`` in
-    the frame. The scale applies at the person's distance; the elevation is the camera's, above the
-    person.
-    """
-
-    timestamp: float
-    points_3d: NDArray[np.float64]
-    pelvis_px: NDArray[np.float64]
-    pixels_per_metre: float
-    elevation_deg: float
-
-    @classmethod
-    def of(cls, timestamp: float, pose: SmoothedPose, elevation_deg: float) -> PoseSample:
-        # The scale is a ratio of sizes rather than the least squares of
-        # index.skeleton.pixels_per_metre, since a smoothed skeleton may be turned away from the
-        # points in the picture.
-        spread_px, spread_m = (
-            float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
-            for points in (pose.points_2d, pose.points_3d[:, :2])
-        )
-        return cls(
-            timestamp,
-            pose.points_3d - pose.points_3d[_PELVIS],
-            pose.points_2d[_PELVIS],
-            max(spread_px, 1e-6) / max(spread_m, 1e-6),
-            elevation_deg,
-        )
-
-
 MIN_VOTE = 0.02
 """Share of the votes for an action that no hypothesis shows."""
-
-# Log odds of everyday actions against exercises if the motion of limbs is not seen.
-_EVERYDAY_LOG_ODDS = math.log(10)
 
 
 @dataclass(frozen=True)
@@ -104,15 +68,6 @@ class ActionModel:
     # (A,): log odds of the actions are ``weights @ features + offsets``.
     offsets: NDArray[np.float64]
     vote_weight: float  # weight of the log of the hypotheses' votes
-
-    def __post_init__(self) -> None:
-        if self.weights.ndim != 2 or not (
-            len(self.actions) == len(self.weights) == len(self.offsets)
-        ):
-            raise ValueError(
-                f"expected weights and an offset for each of {len(self.actions)} actions, "
-                f"got {self.weights.shape} and {self.offsets.shape}"
-            )
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> ActionModel:
@@ -135,7 +90,8 @@ class ActionModel:
         less clearly the picture shows the limbs' motion, 0 to 1, the more weight everyday actions
         get.
         """
-        everyday = _EVERYDAY_LOG_ODDS * np.isin(self.actions, _EVERYDAY)
+        # Their odds against exercises are ten if the motion of limbs is not seen.
+        everyday = math.log(10) * np.isin(self.actions, _EVERYDAY)
         shown = features @ self.weights.T + self.offsets
         odds = limb_clarity * shown + (1 - limb_clarity) * everyday
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
@@ -160,10 +116,6 @@ def shipped_model() -> ActionModel:
 WINDOW_S = 3.0
 """Motion from which an action is recognised."""
 
-# Poses closer together only add memory: motion is sampled at 10 Hz.
-_MIN_STEP_S = 1 / 40
-# After a longer gap without a pose the window starts afresh.
-_MAX_GAP_S = 1.0
 FULL_WEIGHT_PX = LANDMARK_PX
 """Height from which limbs' motion counts in full."""
 
@@ -173,40 +125,42 @@ class ActionRecogniser:
 
     def __init__(self, model: ActionModel | None = None) -> None:
         self._model = shipped_model() if model is None else model
-        self._window: deque[tuple[PoseSample, NDArray[np.float64]]] = deque()
+        self._window: deque[tuple[float, SeenBody, NDArray[np.float64]]] = deque()
         self._last_result: RecognisedAction | None = None
         self._last_at = -math.inf
 
     def update(
         self,
-        sample: PoseSample,
+        timestamp: float,
+        body: SeenBody,
         person: Person,
         posture: EstimatedPosture | None = None,
     ) -> RecognisedAction | None:
         """Add a frame of the track; None until a second has been seen, and if no action is likely.
 
-        The track's posture is given if it is more reliable than the motion, as with landmarks. The
-        actions of hypotheses then do not vote, and there may be no hypotheses.
+        The body has a skeleton. The track's posture is given if it is more reliable than the
+        motion, as with landmarks. The actions of hypotheses then do not vote, and there may be no
+        hypotheses.
         """
-        timestamp = sample.timestamp
-        self._add_sample(sample, () if posture else person.voters)
+        self._add(timestamp, body, () if posture else person.voters)
         # The shortest motion that suffices.
-        if timestamp - self._window[0][0].timestamp < 1.0:
+        if timestamp - self._window[0][0] < 1.0:
             return None
         # Time between two results: actions change slowly.
         if timestamp - self._last_at >= 0.5:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
-    def _add_sample(self, sample: PoseSample, hypotheses: Sequence[ProjectedHypothesis]) -> None:
-        timestamp = sample.timestamp
-        elapsed = timestamp - self._window[-1][0].timestamp if self._window else math.inf
-        if elapsed > _MAX_GAP_S:
+    def _add(
+        self, timestamp: float, body: SeenBody, hypotheses: Sequence[ProjectedHypothesis]
+    ) -> None:
+        elapsed = timestamp - self._window[-1][0] if self._window else math.inf
+        if elapsed > 1.0:
             self._window.clear()
             self._last_result = None
-        if elapsed >= _MIN_STEP_S:
-            self._window.append((sample, self._model.votes(hypotheses)))
-        while timestamp - self._window[0][0].timestamp > WINDOW_S:
+        if elapsed >= 1 / 40:  # Closer poses only add memory: motion is sampled at 10 Hz.
+            self._window.append((timestamp, body, self._model.votes(hypotheses)))
+        while timestamp - self._window[0][0] > WINDOW_S:
             self._window.popleft()
 
     def _recognise(
@@ -215,8 +169,8 @@ class ActionRecogniser:
         """The likeliest action of the window; None if it is unlikely or the posture unclear."""
         if posture is not None and posture.label == "unclear":
             return None
-        features = window_features([sample for sample, _ in self._window])
-        votes = np.mean([votes for _, votes in self._window], axis=0)
+        times, bodies, given = zip(*self._window, strict=True)
+        features, votes = window_features(times, bodies), np.mean(given, axis=0)
         limb_clarity, factors = 1.0, np.ones(len(self._model.actions))
         if posture is not None:
             limb_clarity = min(1.0, person.whole_box.height / FULL_WEIGHT_PX)
@@ -236,9 +190,8 @@ def posture_factors(actions: Sequence[str], posture: EstimatedPosture) -> NDArra
     return 0.1 + np.array(shown)
 
 
-def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
-    """Features ``(D,)`` of poses at any, even irregular, rate, over two intervals or more."""
-    times = np.array([sample.timestamp for sample in samples])
+def window_features(times: Sequence[float], bodies: Sequence[SeenBody]) -> NDArray[np.float64]:
+    """Features ``(D,)`` of bodies at any, even irregular, rate, over two intervals or more."""
     wanted = np.arange(times[-1], times[0] - 1e-9, -1 / RATE_HZ)[::-1]
 
     def resampled(values: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -246,13 +199,13 @@ def window_features(samples: Sequence[PoseSample]) -> NDArray[np.float64]:
         at_rate = np.stack([np.interp(wanted, times, column) for column in columns], axis=1)
         return at_rate.reshape(len(wanted), *values.shape[1:])
 
-    elevation_deg = float(np.mean([sample.elevation_deg for sample in samples]))
-    scale = float(np.median([sample.pixels_per_metre for sample in samples]))
-    pelvis_px = resampled(np.array([sample.pelvis_px for sample in samples]))
+    elevation_deg = float(np.mean([body.elevation_deg for body in bodies]))
+    scale = float(np.median([body.px_per_m for body in bodies]))
+    hips_px = resampled(np.array([body.hips_px for body in bodies]))
     return action_features(
-        resampled(np.array([sample.points_3d for sample in samples])),
+        resampled(np.array([body.skeleton for body in bodies])),
         camera_up(elevation_deg),
-        ground_path(pelvis_px, scale, elevation_deg),
+        ground_path(hips_px, scale, elevation_deg),
     )
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import EstimatedPosture, PostureFilter
 from app.estimation.results import Facing, FacingSource, Person
-from app.tracking.actions import ActionRecogniser, PoseSample
+from app.tracking.actions import ActionRecogniser
 from app.tracking.motion import Motion, MotionFilter, posture_in_motion
 from app.tracking.results import RecognisedAction, SmoothedPose
 from app.tracking.seen_body import SeenBody
-from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother, Smoothed
+from app.tracking.smoothing import EXTRAPOLATED_S, PoseSmoother
 from index.posture import (
     POSTURES,
     SILHOUETTE_GROUPS,
@@ -48,12 +49,16 @@ class Body:
             return self._smoother.extrapolate(person, timestamp), None
         self._seen_at = timestamp
         motion = self._motion_filter.update(timestamp, person.whole_box, body)
-        smoothed = self._smoother.update(person, timestamp, motion)
+        pose = self._smoother.update(person, timestamp, motion)
         evidence: FacingSource = "none" if body.skeleton is None else "image"
         self._facing = Facing(
             motion.heading.front_probability, "motion" if motion.walks else evidence
         )
-        votes, sample = _votes_and_sample(person, body, motion, smoothed, timestamp)
+        if body.skeleton is None:
+            assert pose is not None  # Without landmarks, a body is seen by its hypotheses.
+            votes, body = _votes_by_hypotheses(person, pose), body.in_pose(pose)
+        else:
+            votes = _votes_by_landmarks(body.skeleton, motion)
         self._posture, shares = self._posture_filter.update(
             timestamp,
             votes,
@@ -63,8 +68,9 @@ class Body:
             posture_weight(person),
         )
         posture = self._posture if person.landmarks is not None else None
-        self.action = self._recogniser.update(sample, person, posture)
-        return smoothed.pose if smoothed else None, shares
+        body = replace(body, elevation_deg=motion.elevation_deg)
+        self.action = self._recogniser.update(timestamp, body, person, posture)
+        return pose, shares
 
     @property
     def posture(self) -> PostureName | None:
@@ -79,23 +85,18 @@ class Body:
         return {"facing": self._facing, "posture": self._posture}
 
 
-def _votes_and_sample(
-    person: Person, body: SeenBody, motion: Motion, smoothed: Smoothed | None, timestamp: float
-) -> tuple[NDArray[np.float64], PoseSample]:
-    """The votes ``(10,)`` for postures, and the skeleton from which actions are recognised."""
-    elevation_deg = motion.elevation_deg
-    if body.skeleton is not None:
-        up = camera_up(elevation_deg)
-        posture = POSTURES[int(classify_postures(body.skeleton[None], up)[0])]
-        votes = vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
-        return votes, PoseSample(
-            timestamp, body.skeleton, body.hips_px, body.px_per_m, elevation_deg
-        )
-    assert smoothed is not None  # Without landmarks, a body is seen by its hypotheses.
-    votes = smoothed.votes
-    if person.posture is not None and person.frame_posture is None:
-        votes = SILHOUETTE_GROUPS.split(SILHOUETTE_GROUPS.sums(person.posture.shares), votes)
-    return votes, PoseSample.of(timestamp, smoothed.pose, elevation_deg)
+def _votes_by_landmarks(skeleton: NDArray[np.float64], motion: Motion) -> NDArray[np.float64]:
+    """The votes ``(10,)`` for postures of a skeleton ``(24, 3)``."""
+    up = camera_up(motion.elevation_deg)
+    posture = POSTURES[int(classify_postures(skeleton[None], up)[0])]
+    return vote_posture([posture_in_motion(posture, motion.velocity)], [1.0])
+
+
+def _votes_by_hypotheses(person: Person, pose: SmoothedPose) -> NDArray[np.float64]:
+    """The votes ``(10,)`` for postures of a person without landmarks."""
+    if person.posture is None or person.frame_posture is not None:
+        return pose.votes
+    return SILHOUETTE_GROUPS.split(SILHOUETTE_GROUPS.sums(person.posture.shares), pose.votes)
 
 
 def posture_weight(person: Person) -> float:

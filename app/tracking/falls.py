@@ -15,7 +15,6 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -163,21 +162,6 @@ class FallModel:
     weights: tuple[NDArray[np.float32], ...]
     offsets: tuple[NDArray[np.float32], ...]
 
-    def __post_init__(self) -> None:
-        networks = len(self.weights[0])
-        sizes = [COLUMNS, *(offset.shape[-1] for offset in self.offsets)]
-        points = -(-len(self.grid_s) // np.prod(_STRIDES))
-        factors = [3, 3, int(points), 1]
-        expected = [
-            (networks, n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)
-        ]
-        got = [weight.shape for weight in self.weights]
-        if len(sizes) != 5 or sizes[-1] != 2 or got != expected:
-            raise ValueError(
-                f"expected weights Nx{3 * COLUMNS}x... of two convolutions and two layers, "
-                f"got {got}"
-            )
-
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[np.generic]], memory: str) -> Self:
         """The networks of a memory in a file that ``python -m scripts train-falls`` wrote."""
@@ -223,16 +207,8 @@ who is lost, for which crowds mostly have other reasons.
 Chosen on held-out simulated tracks, the first with a look at real films (docs/training.md).
 """
 
-# Probability that the trunk is up, and the time for which it must be as high, before another fall
-# is reported.
-_UP_FROM, _UP_S = 0.5, 1.0
+_UP_FROM = 0.5  # Probability that the trunk is up.
 
-
-# The long memory is asked only about people who are not up and whose landmarks were right with this
-# probability on average in the last second. Otherwise a parked car that is detected as a lying
-# person is reported as a fall in the end.
-_TRUSTED_S, _TRUSTED_FROM = 1.0, 0.1
-_RIGHT = 5 + _POSTURES  # Column of :func:`observation`.
 
 def _weighed(probability: float, factor: float) -> float:
     """The probability whose odds are those of another times a factor."""
@@ -272,7 +248,7 @@ class FallReport:
             self._up_since = None
         elif self._up_since is None:
             self._up_since = timestamp
-        elif timestamp - self._up_since >= _UP_S:
+        elif timestamp - self._up_since >= 1.0:
             self.fallen = False
         certain = fell >= self._lost_from if lost else likely >= self._reported_from
         if self.fallen or not certain:
@@ -339,8 +315,11 @@ class FallWatch:
         rows = np.array([row for _, row in self._seen])
         recent, long = shipped_models()
         fell, up = recent.probabilities(self._window(times, rows, timestamp, recent)).tolist()
-        trusted, slowly = rows[times > timestamp - _TRUSTED_S, _RIGHT], 0.0
-        if not lost and up < _UP_FROM and trusted.mean() >= _TRUSTED_FROM:
+        # The long memory is asked only about people who are not up and whose landmarks were rather
+        # right in the last second. Otherwise a parked car that is detected as a lying person is
+        # reported as a fall in the end.
+        trusted, slowly = rows[times > timestamp - 1.0, 5 + _POSTURES], 0.0
+        if not lost and up < _UP_FROM and trusted.mean() >= 0.1:
             slowly, _ = long.probabilities(self._window(times, rows, timestamp, long)).tolist()
         # Two pieces of evidence: either memory may see the fall.
         return 1 - (1 - fell) * (1 - slowly), up

@@ -21,22 +21,12 @@ from app.vision.people import Landmarks, landmark_rows
 _PARTS = [landmark_rows(part) for part in ("ear", "shoulder", "hip", "knee", "ankle")]
 _EARS, _SHOULDERS, _HIPS, _, _ANKLES = _PARTS
 
-# Standing people who are seen from head to foot: least probabilities of the posture and of right
-# landmarks, least visibility of ears and ankles.
-_STANDS_FROM, _RIGHT_FROM, _SEEN_FROM = 0.8, 0.3, 0.5
-# A sighting replaces the oldest of so many of the same person within so many of their heights, so
-# that those who stand still do not outweigh those who walk; beyond so many of all people, it
-# replaces the oldest of the person with the most, so that everybody's size stays known.
-_MOST_ALIKE, _ALIKE, _MOST = 3, 0.15, 48
-_LEAST = 3
-
 # Heights of ears and hips over the ankles, metres as the landmark network gives them.
 _EARS_M, _HIPS_M = 1.5, 0.84
 # Standard deviations of sightings: where the head is, across and along the body, in heights of the
 # body; the logarithm of the distance by its size; the elevation, radians.
 _NOISE = np.array([0.06, 0.07, 0.12, np.deg2rad(8)])
-# Of two sightings, one counts: errors last.
-_INDEPENDENT = 0.5
+_INDEPENDENT = 0.5  # Of two sightings, one counts: errors last.
 # Residuals from which a sighting is rather wrong, standard deviations.
 _WRONG_FROM = 2.0
 
@@ -44,23 +34,10 @@ _WRONG_FROM = 2.0
 # height over the ankles in metres, of the focal length over the assumed one, and of a body's size.
 _USUAL = np.array([np.deg2rad(20), 0.0, np.log(2.2), -0.1])
 _USUAL_SD = np.array([np.deg2rad(25), np.deg2rad(4), 0.6, 0.3])
-_GIVEN_SD, _SIZE_SD = 0.03, 0.07
+_SIZE_SD = 0.07
 
 # If so many new sightings lie so many standard deviations away, the camera was moved.
 _MOVED_AFTER, _MOVED_FROM = 6, 3.0
-
-# How high a body is read that is as likely on the floor as on a bed, metres; and the standard
-# deviation of the logarithm of its distance, as of rendered bodies that lie. Chosen on the real
-# films and on simulated rooms with beds of 0.3 to 0.7 m.
-_FLOOR_BELOW_M, _DISTANCE_SD = 0.35, 0.07
-# Probability of the floor, or of a bed, from which it is told; and the heights beyond which a
-# reading or the floor must be wrong, metres.
-_TOLD_FROM, _PLAUSIBLE_M = 0.8, (-0.6, 1.2)
-# The most by which a height counts for or against a fall: the floor itself may be wrong.
-_MOST_ODDS = 4.0
-# Of frames that show who lies, least probabilities of the posture and of right landmarks; seconds
-# for which they count, since people fall out of bed; how many are needed, weighted by the latter.
-_LIES_FROM, _READ_FROM, _KEPT_S, _LEAST_FRAMES = 0.5, 0.1, 1.0, 0.8
 
 
 class Height(NamedTuple):
@@ -77,12 +54,13 @@ class Rest:
         self._frames, self._height, self._at = 0.0, Height(0.0, 0.0), -math.inf
 
     def update(self, timestamp: float, person: Person, who: int, floor: Floor) -> None:
-        self._frames *= math.exp((self._at - timestamp) / _KEPT_S)
+        # Frames count for a second: people fall out of bed.
+        self._frames *= math.exp(self._at - timestamp)
         self._at = timestamp
         posture, trust, landmarks = person.frame_posture, person.trust, person.landmarks
         if posture is None or trust is None or landmarks is None:
             return
-        if posture.of("lying") < _LIES_FROM or trust.right < _READ_FROM:
+        if posture.of("lying") < 0.5 or trust.right < 0.1:
             return
         if (height := floor.height(who, landmarks)) is None:
             return
@@ -96,21 +74,25 @@ class Rest:
     def on_floor(self) -> float | None:
         """Probability that the person lies on the floor; None while nobody can tell."""
         on_floor = self._probability
-        return on_floor if max(on_floor, 1 - on_floor) >= _TOLD_FROM else None
+        return on_floor if max(on_floor, 1 - on_floor) >= 0.8 else None
 
     @property
     def odds(self) -> float:
         """Odds of the floor against a bed, as far as they can be relied on; 1 if unknown."""
         on_floor = self._probability
-        return min(max(on_floor / max(1 - on_floor, 1e-9), 1 / _MOST_ODDS), _MOST_ODDS)
+        # The floor itself may be wrong.
+        return min(max(on_floor / max(1 - on_floor, 1e-9), 1 / 4), 4.0)
 
     @property
     def _probability(self) -> float:
         """Probability that the person lies on the floor; one half if unknown."""
         mean, sd = self._height
-        if self._frames < _LEAST_FRAMES or not _PLAUSIBLE_M[0] < mean < _PLAUSIBLE_M[1]:
+        # Beyond these heights, metres, the reading or the floor must be wrong.
+        if self._frames < 0.8 or not -0.6 < mean < 1.2:
             return 0.5
-        return NormalDist(mean, sd).cdf(_FLOOR_BELOW_M)
+        # As likely on the floor as on a bed at this height; chosen on the real films and on
+        # simulated rooms with beds of 0.3 to 0.7 m.
+        return NormalDist(mean, sd).cdf(0.35)
 
 
 class Calibration(NamedTuple):
@@ -157,15 +139,17 @@ class Floor:
         up = landmarks.metres[_SHOULDERS].mean(axis=0) - landmarks.metres[_ANKLES].mean(axis=0)
         elevation = np.arctan2(-up[2], -up[1])
         row = np.array([*feet, *head, *hips, nearness, elevation])
-        reach = _ALIKE * _EARS_M * nearness
+        # Those who stand still shall not outweigh those who walk: of three sightings of a person
+        # in about the same place, the oldest is replaced.
+        reach = 0.15 * _EARS_M * nearness
         alike = [
             number
             for number, (other, known) in enumerate(self._seen)
             if other == who and np.linalg.norm(known[:2] - feet) < reach
         ]
-        if len(alike) >= _MOST_ALIKE:
+        if len(alike) >= 3:
             del self._seen[alike[0]]
-        elif len(self._seen) >= _MOST:
+        elif len(self._seen) >= 48:  # Everybody's size stays known.
             people = [one for one, _ in self._seen]
             del self._seen[people.index(max(people, key=people.count))]
         self._seen.append((who, row))
@@ -174,7 +158,7 @@ class Floor:
     @property
     def calibration(self) -> Calibration | None:
         """The camera over the floor; None while too little was seen."""
-        if self._calibration is None and len(self._seen) >= _LEAST:
+        if self._calibration is None and len(self._seen) >= 3:
             self._calibration = self._fitted()
             new = self._calibration.misfit[-_MOVED_AFTER:]
             if len(self._seen) > _MOVED_AFTER and np.median(new) > _MOVED_FROM:
@@ -214,7 +198,8 @@ class Floor:
 
         mean, step = over_floor(state), 1e-4
         slopes = np.array([(over_floor(state + one) - mean) / step for one in step * np.eye(5)])
-        of_body = _DISTANCE_SD * (np.exp(state[2]) - mean)
+        # Standard deviation of the logarithm of a body's distance, as of rendered ones that lie.
+        of_body = 0.07 * (np.exp(state[2]) - mean)
         return Height(mean, math.sqrt(of_body**2 + max(0.0, slopes @ covariance @ slopes)))
 
 
@@ -225,9 +210,9 @@ def _stands(person: Person, frame_shape: tuple[int, ...]) -> bool:
     ends = [*_EARS, *_ANKLES]
     places, corner = landmarks.positions[ends], np.array(frame_shape[1::-1]) - 1
     return bool(
-        posture.of("standing") >= _STANDS_FROM
-        and trust.right >= _RIGHT_FROM
-        and landmarks.visibility[ends].min() >= _SEEN_FROM
+        posture.of("standing") >= 0.8
+        and trust.right >= 0.3
+        and landmarks.visibility[ends].min() >= 0.5
         and ((places > 0) & (places < corner)).all()
     )
 
@@ -282,7 +267,7 @@ def fitted(
     usual, sd = np.zeros(4 + count), np.full(4 + count, _SIZE_SD)
     usual[:4], sd[:4] = _USUAL, _USUAL_SD
     if focal_is_known:
-        usual[3], sd[3] = 0.0, _GIVEN_SD
+        usual[3], sd[3] = 0.0, 0.03
     elevation, distance = float(np.median(rows[:, 7])), 1 / float(np.median(rows[:, 6]))
     state = usual.copy()
     state[0] = elevation - np.arctan(np.median(rows[:, 5]))

@@ -40,13 +40,6 @@ class GroundVelocity:
 STILL = GroundVelocity(0.0, 0.0, 0.0)
 
 
-# Time over which a velocity is measured, and the fewest frames for it.
-_WINDOW_S, _MIN_FRAMES = 1.0, 3
-# Least elevation for a velocity, since its direction matters, and least sine of the elevation for
-# the path that actions are recognised from, since its noise must not look like steps.
-_MIN_ELEVATION_DEG, _MIN_PATH_SINE = 6.0, 0.35
-
-
 class GroundMotion:
     """Measures a person's velocity from the centre of their box."""
 
@@ -70,17 +63,16 @@ class GroundMotion:
         self._elevation_sum_deg += elevation_deg
         self._frames += 1
         self._recent.append((timestamp, box.x + box.width / 2, box.y + box.height / 2, px_per_m))
-        while self._recent[0][0] < timestamp - _WINDOW_S:
+        while self._recent[0][0] < timestamp - 1.0:
             self._recent.popleft()
-        if len(self._recent) < _MIN_FRAMES:
+        if len(self._recent) < 3:
             return STILL
         times, x, y, scales = np.array(self._recent).T
         times = times - times.mean()
         # A frame that is sent again has the same time.
         metres_per_px = 1 / (np.median(scales) * max(float(times @ times), 1e-6))
         rise = np.sin(np.deg2rad(self.elevation_deg))
-        min_rise = np.sin(np.deg2rad(_MIN_ELEVATION_DEG))
-        rise = np.copysign(max(abs(rise), min_rise), rise)
+        rise = np.copysign(max(abs(rise), np.sin(np.deg2rad(6.0))), rise)
         right, away = times @ x * metres_per_px, -(times @ y) * metres_per_px / rise
         # Elevation from which steps away from the camera count in full for the speed. For a lower
         # camera, such steps hardly change the height in the picture.
@@ -95,7 +87,8 @@ def ground_path(
 
     ``pelvis_px`` ``(T, 2)`` are its places in the frame.
     """
-    sine = max(float(np.sin(np.deg2rad(elevation_deg))), _MIN_PATH_SINE)
+    # The noise of the path of a low camera must not look like steps.
+    sine = max(float(np.sin(np.deg2rad(elevation_deg))), 0.35)
     return np.asarray(pelvis_px / pixels_per_metre / np.array([1.0, sine]))
 
 
@@ -105,16 +98,7 @@ BINS = 36
 # The values below were chosen on UP-Fall's first activities at 0.35 of their size, against their
 # full size, and on Pose2Sim's cameras at a tenth of it.
 
-# Standard deviations: of the turn of a person within a second; of the azimuth of a right
-# hypothesis, for small and for large people; of the angle between walking and facing direction.
-_TURN_DEG, _SEEN_DEG, _CLEARLY_SEEN_DEG, _WALKING_DEG = 80.0, 20.0, 15.0, 40.0
-# Weight of the walking direction, which is measured over a second; the speed from which it is used,
-# and the speed from which it has this weight.
-_DIRECTION_WEIGHT = 0.3
-_MIN_WALKING_M_S, _FULL_WALKING_M_S = 0.5, 1.0
-# Probability of the other side from which front and back are exchanged: people seen from the side
-# keep front or back.
-_SWITCH_FROM = 0.8
+_SEEN_DEG = 20.0  # Standard deviation of the azimuth of a right hypothesis of a small person.
 MIN_TURNED_DEG = 2.0
 """Least turn of the shoulders from the exact side view."""
 
@@ -169,14 +153,13 @@ class HeadingFilter:
         shares, independence = np.full(BINS, 1 / BINS), 1.0
         if self._last is not None:
             shares, independence = self._predict(timestamp, *self._last)
-        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), _WALKING_DEG)[0]
-        weight = _DIRECTION_WEIGHT * self.walking_weight(velocity) * independence
+        # Standard deviation of the angle between the directions of walking and facing.
+        ahead = _normal_about(np.array([_walking_azimuth_deg(velocity)]), 40.0)[0]
+        # The direction of walking is measured over a second.
+        weight = 0.3 * self.walking_weight(velocity) * independence
         # Share of people walking in any other direction than they face.
         shares = shares * _with_outliers(ahead, 0.1) ** weight
-        seen = weights @ _normal_about(
-            azimuths_deg,
-            clarity * _CLEARLY_SEEN_DEG + (1 - clarity) * _SEEN_DEG,
-        )
+        seen = weights @ _normal_about(azimuths_deg, clarity * 15.0 + (1 - clarity) * _SEEN_DEG)
         # Share of frames in which no hypothesis faces the right way.
         shares = shares * _with_outliers(seen, 0.2) ** independence
         shares /= shares.sum()
@@ -186,15 +169,16 @@ class HeadingFilter:
 
     def walking_weight(self, velocity: GroundVelocity) -> float:
         """Weight of a person's direction of motion, 0 to 1."""
-        low, high = _MIN_WALKING_M_S, _FULL_WALKING_M_S
-        return float(np.clip((velocity.speed - low) / (high - low), 0, 1))
+        # From half a metre a second on, in full from one.
+        return float(np.clip((velocity.speed - 0.5) / 0.5, 0, 1))
 
     def _predict(
         self, timestamp: float, before: float, last: Heading
     ) -> tuple[NDArray[np.float64], float]:
         """The predicted distribution, and how independent a frame is of the previous one."""
         elapsed = timestamp - before
-        shares = last.shares @ _normal_about(_CENTRES_DEG, _TURN_DEG * np.sqrt(elapsed))
+        # Standard deviation of the turn of a person within a second.
+        shares = last.shares @ _normal_about(_CENTRES_DEG, 80.0 * np.sqrt(elapsed))
         # Rate of jumps to any other heading: detection and identity may be wrong.
         jumps = 1 - float(np.exp(-0.05 * elapsed))
         # Frame rate above which each frame counts less.
@@ -206,7 +190,8 @@ class HeadingFilter:
             return probability >= 0.5
         front = self._last[1].front
         other_side = 1 - probability if front else probability
-        return front != (other_side >= _SWITCH_FROM)
+        # People seen from the side keep front or back.
+        return front != (other_side >= 0.8)
 
 
 def posture_in_motion(posture: PostureName, velocity: GroundVelocity) -> PostureName:

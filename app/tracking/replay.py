@@ -17,7 +17,6 @@ from index.skeleton import KEYPOINT_SETS
 
 BEFORE_S, AFTER_S = 3.0, 3.0
 _KEPT_S = 10.0  # A person lost for a while still has the seconds before.
-_MAX_CORNERS = 24
 _UNKNOWN = np.iinfo(np.int16).min
 _MIN_VISIBILITY = 0.5
 COCO = KEYPOINT_SETS["coco17"]
@@ -140,7 +139,7 @@ def _outline(silhouette: Silhouette | None) -> NDArray[np.float64]:
         return np.empty((0, 2))
     largest = max(silhouette.outlines(cv2.CHAIN_APPROX_SIMPLE), key=cv2.contourArea)
     corners, within_px = largest[:, 0], 1.0
-    while len(corners) > _MAX_CORNERS:
+    while len(corners) > 24:
         corners = cv2.approxPolyDP(largest, within_px, True)[:, 0].astype(np.int32)
         within_px *= 1.25
     return corners.astype(np.float64)

@@ -20,13 +20,15 @@ class SmoothedPose:
 
     ``points_3d`` ``(24, 3)`` are metres in camera axes about the pelvis, ``points_2d`` ``(24, 2)``
     pixels of the frame. The confidence is the probability that the mean joint error in the
-    normalised frame is below 5 px; ``entry`` is that of the hypothesis that the pose follows.
+    normalised frame is below 5 px; ``entry`` is that of the hypothesis that the pose follows,
+    ``votes`` ``(10,)`` are the shares of ``POSTURES`` among the likely hypotheses.
     """
 
     points_3d: NDArray[np.float64]
     points_2d: NDArray[np.float64]
     confidence: float
     entry: int
+    votes: NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,14 @@ landmarks, the hypotheses of the silhouette are likely bodies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
 from app.networks.dense import shipped_network
+from app.tracking.results import SmoothedPose
 from app.vision.blazepose import LANDMARK_PX
 from app.vision.people import LANDMARK_NAMES, Landmarks
 from index.posture import azimuth_deg
@@ -31,10 +32,6 @@ from index.skeleton import (
 MAX_BODIES = 12
 """Hypotheses that count as likely bodies; 30 are no better."""
 
-# Weights of the log of a hypothesis's confidence and, for a person with landmarks, of the log of
-# its distance by silhouette and landmarks: the confidences of all hypotheses that agree with these
-# are near 1.
-_CONFIDENCE_WEIGHT, _LANDMARK_WEIGHT = 1.5, 40.0
 # Height from which landmarks have their full weight: the side of the network's window. Landmarks of
 # smaller people jitter, so motion counts more.
 _FULL_WEIGHT_PX = LANDMARK_PX
@@ -52,7 +49,7 @@ class SeenBody:
     elevation_deg: float  # elevation of the camera above the person
     hips_px: NDArray[np.float64]  # (2,): middle of the hips, pixels of the frame
     # (24, 3): the landmarks' skeleton, metres about the hips, axes of the line of sight to them;
-    # None without landmarks.
+    # None without landmarks, until :meth:`in_pose`.
     skeleton: NDArray[np.float64] | None
 
     @classmethod
@@ -95,13 +92,30 @@ class SeenBody:
             None,
         )
 
+    def in_pose(self, pose: SmoothedPose) -> SeenBody:
+        """The body with the skeleton, the scale and the place of a smooth pose."""
+        # The scale is a ratio of sizes rather than the least squares of
+        # index.skeleton.pixels_per_metre, since a smoothed skeleton may be turned away from the
+        # points in the picture.
+        spread_px, spread_m = (
+            float(np.linalg.norm(points - points[_PELVIS], axis=1).sum())
+            for points in (pose.points_2d, pose.points_3d[:, :2])
+        )
+        return replace(
+            self,
+            px_per_m=max(spread_px, 1e-6) / max(spread_m, 1e-6),
+            hips_px=pose.points_2d[_PELVIS],
+            skeleton=pose.points_3d,
+        )
+
 
 def log_likelihoods(person: Person) -> NDArray[np.float64]:
     """Log likelihoods ``(N,)`` of a person's hypotheses, see :class:`SeenBody`."""
     hypotheses = person.voters
-    result = _CONFIDENCE_WEIGHT * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
+    result = 1.5 * np.log(np.array([one.confidence for one in hypotheses]) + 1e-3)
     distances = np.array([one.distance for one in hypotheses]) + 1e-9
-    weight = clarity_of(person) * _LANDMARK_WEIGHT
+    # With landmarks, the confidences of all hypotheses that agree with these are near 1.
+    weight = clarity_of(person) * 40.0
     return np.asarray(result - weight * np.log(distances / distances.min()))
 
 
@@ -120,7 +134,7 @@ _SEEN = [*LIMBS, *FACE_NAMES, *(f"{side}_toe" for side in SIDES)]
 _POINT_ROWS = rows(*_SEEN)
 _LANDMARK_ROWS = rows(*(name.replace("toe", "foot_index") for name in _SEEN), among=LANDMARK_NAMES)
 _TRUNK_ROWS, _TRUNK_SHARES = rows(*_TRUNK), np.array([*_TRUNK.values()])[:, None]
-_HEAD = POINT_NAMES.index("head")
+_HEAD, _PELVIS = POINT_NAMES.index("head"), POINT_NAMES.index("pelvis")
 _HIPS, _SHOULDERS, _EARS = (side_rows(part) for part in ("hip", "shoulder", "ear"))
 
 

@@ -26,45 +26,12 @@ from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bo
 
 _SHOULDERS, _HIPS = side_rows("shoulder"), side_rows("hip")
 
-# Largest cost of a move: no move is impossible, since detection and identity may be wrong.
-_MAX_COST = 48.0
-# Time over which a line is fitted to the averages, for landmarks of full weight (they follow quick
-# limbs); and the largest number of frames in any line.
-_LANDMARK_LINE_S, _MAX_LINE_FRAMES = 0.12, 24
+COST_PER_M = 60.0
+"""Cost in nats of each metre that joints move on average from frame to frame; up to twice as much
+at higher rates, less at lower ones."""
+
 EXTRAPOLATED_S = 1.0
 """A pose is kept this long without a silhouette."""
-# Log odds of a smooth pose: an offset, and weights of the log odds of the hypotheses near it and of
-# the share of probability near it; `evaluate tracking --fit-tracks` at 701c017c.
-_CONFIDENCE_OFFSET, _HYPOTHESES_WEIGHT, _AGREEMENT_WEIGHT = -0.46, 1.39, 0.39
-
-
-@dataclass(frozen=True)
-class Smoothing:
-    """What the tracking experiment varies."""
-
-    max_states: int = MAX_BODIES  # hypotheses of a frame that become states
-    # Cost in nats of each metre that joints move on average from frame to frame; up to twice as
-    # much at higher rates, less at lower ones.
-    cost_per_m: float = 60.0
-    heading_weight: float = 1.0  # weight of the log of the heading's probability
-    line_s: float = 0.35  # time over which a line is fitted to the averages for silhouettes alone
-
-
-SMOOTHING = Smoothing()
-
-
-@dataclass(frozen=True)
-class Smoothed:
-    """A track's pose at its newest frame, and what follows from it.
-
-    ``votes`` ``(10,)`` are the shares of ``POSTURES`` among the states, weighted by their
-    probabilities. The pose's confidence follows from a weighted sum of two log odds: of the
-    hypotheses near the pose, and of the share of probability near it.
-    """
-
-    pose: SmoothedPose
-    votes: NDArray[np.float64]
-    confidence_features: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -83,25 +50,19 @@ class _States:
 class PoseSmoother:
     """Smooths the poses of one track, frame by frame."""
 
-    def __init__(self, smoothing: Smoothing = SMOOTHING) -> None:
-        self._smoothing = smoothing
-        self._states: deque[_States] = deque(maxlen=_MAX_LINE_FRAMES)
+    def __init__(self) -> None:
+        self._states: deque[_States] = deque(maxlen=24)
         self._last: tuple[SmoothedPose, Person] | None = None
 
-    def update(self, person: Person, timestamp: float, motion: Motion) -> Smoothed | None:
+    def update(self, person: Person, timestamp: float, motion: Motion) -> SmoothedPose | None:
         """Add a frame of a person; return the pose at it, None without hypotheses."""
         if not person.hypotheses:
             return None
-        hypotheses = person.voters[: self._smoothing.max_states]
+        hypotheses = person.voters[:MAX_BODIES]
         self._add_states(person, hypotheses, motion.heading, timestamp)
-        probabilities = softmax(self._states[-1].log_forward)
-        pose, features = self._pose(person, hypotheses, motion.heading, probabilities)
+        pose = self._pose(person, hypotheses, motion)
         self._last = pose, person
-        votes = vote_posture(
-            [posture_in_motion(placed.posture, motion.velocity) for placed in hypotheses],
-            probabilities.tolist(),
-        )
-        return Smoothed(pose, votes, features)
+        return pose
 
     def extrapolate(self, person: Person, timestamp: float) -> SmoothedPose | None:
         """The last pose, moved to where the person is in a later frame without hypotheses.
@@ -136,10 +97,7 @@ class PoseSmoother:
         if self._states:
             elapsed = timestamp - self._states[-1].timestamp
             log_emission = log_emission * min(1.0, REFERENCE_HZ * elapsed)
-        azimuths_deg = azimuth_deg(points_3d)
-        log_emission = log_emission + self._smoothing.heading_weight * heading.log_likelihood(
-            azimuths_deg
-        )
+        log_emission = log_emission + heading.log_likelihood(azimuth_deg(points_3d))
         log_moves, log_forward = None, log_emission
         if self._states:
             last = self._states[-1]
@@ -151,7 +109,8 @@ class PoseSmoother:
             _States(timestamp, points_3d, confidences, log_emission, log_forward, log_moves)
         )
         clarity = clarity_of(person)
-        line_s = clarity * _LANDMARK_LINE_S + (1 - clarity) * self._smoothing.line_s
+        # Time over which a line is fitted to the averages: landmarks follow quick limbs.
+        line_s = clarity * 0.12 + (1 - clarity) * 0.35
         # The previous frame is kept, however long ago it was.
         while len(self._states) > 2 and timestamp - self._states[0].timestamp > line_s:
             self._states.popleft()
@@ -161,39 +120,39 @@ class PoseSmoother:
     ) -> NDArray[np.float64]:
         """Log probabilities ``(M, N)``, up to a constant, of moving between all pairs of poses."""
         intervals = REFERENCE_HZ * (timestamp - before.timestamp)
-        cost_per_m = 2 * self._smoothing.cost_per_m / (1 + intervals)
         metres = mean_joint_distance(before.points_3d[:, None], points_3d[None])
-        return np.asarray(-np.minimum(cost_per_m * metres, _MAX_COST))
+        # No move is impossible, since detection and identity may be wrong.
+        return np.asarray(-np.minimum(2 * COST_PER_M / (1 + intervals) * metres, 48.0))
 
     def _pose(
         self,
         person: Person,
         hypotheses: Sequence[ProjectedHypothesis],
-        heading: Heading,
-        probabilities: NDArray[np.float64],
-    ) -> tuple[SmoothedPose, tuple[float, float]]:
-        """The pose at the newest frame, and the features of its confidence."""
+        motion: Motion,
+    ) -> SmoothedPose:
+        """The pose at the newest frame."""
         points_3d, log_forward = self._states[-1].points_3d, self._states[-1].log_forward
+        probabilities = softmax(log_forward)
         smoothed_3d, hypotheses_odds = self._smoothed()
         postures = [placed.posture for placed in hypotheses]
         upright = float(probabilities @ [posture in UPRIGHT for posture in postures])
         if person.landmarks is not None and upright * (1 - clarity_of(person)) > 0.5:
-            smoothed_3d = self._kept_on_visible_side(smoothed_3d, heading)
-        nearness = self._nearness(points_3d, log_forward)
-        agreement_odds = log_odds(float(probabilities @ nearness))
-        odds = (
-            _CONFIDENCE_OFFSET
-            + _HYPOTHESES_WEIGHT * hypotheses_odds
-            + _AGREEMENT_WEIGHT * agreement_odds
-        )
+            smoothed_3d = self._kept_on_visible_side(smoothed_3d, motion.heading)
+        agreement_odds = log_odds(float(probabilities @ self._nearness(points_3d, log_forward)))
+        # From the log odds of the hypotheses near the pose, and of the share of probability near
+        # it; fitted by `evaluate tracking --fit-tracks` at 701c017c.
+        odds = -0.46 + 1.39 * hypotheses_odds + 0.39 * agreement_odds
         weights = self._weights_near_best(points_3d, log_forward)
-        pose = SmoothedPose(
+        return SmoothedPose(
             smoothed_3d,
             np.einsum("n,npd->pd", weights, np.array([placed.points_2d for placed in hypotheses])),
             probability_of(odds),
             hypotheses[int(probabilities.argmax())].entry_id,
+            vote_posture(
+                [posture_in_motion(posture, motion.velocity) for posture in postures],
+                probabilities.tolist(),
+            ),
         )
-        return pose, (hypotheses_odds, agreement_odds)
 
     def _smoothed(self) -> tuple[NDArray[np.float64], float]:
         """The skeleton ``(24, 3)`` at the newest frame, from the last frames: the backward step.

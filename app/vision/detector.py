@@ -35,17 +35,8 @@ from app.vision.same_person import is_expected, may_be_reached, shows, tell_apar
 MIN_DETECTION_SCORE = 0.3
 """Probability from which a detection is reported."""
 
-# Log odds added to a detection where a person was visible a moment ago. People do not vanish, but a
-# falling person is blurred, and then lies in a pose that detectors rarely recognise.
-_EXPECTED_LOG_ODDS = 1.0
 DOUBTFUL = (0.2, 0.8)
 """Probabilities between which a detection is compared with other objects."""
-
-# Side of the window in which a detection is compared, relative to the longer side of the box, and
-# the turn of the trunk from which a window turned upright is compared as well: the network hardly
-# recognises lying people.
-_OBJECT_WINDOW_SCALE, _MIN_TURN_DEG = 1.8, 45.0
-
 
 _CLASSES = (
     "background", "bicycle", "boot", "laptop", "person", "chair", "cattle", "desk", "cat", "mouse",
@@ -168,8 +159,9 @@ class NetworkDetector:
     def object_log_odds(self, frame: Frame, one: Detection) -> tuple[float, float]:
         """As :meth:`ObjectNetwork.log_odds`, with the window upright or turned with the trunk."""
         roll = one.windows[0].roll_deg if one.windows else trunk_roll_deg(one.keypoints)
-        rolls = [0.0] if roll is None or abs(roll) < _MIN_TURN_DEG else [0.0, roll]
-        side = _OBJECT_WINDOW_SCALE * max(one.box.width, one.box.height)
+        # The network hardly recognises lying people.
+        rolls = [0.0] if roll is None or abs(roll) < 45.0 else [0.0, roll]
+        side = 1.8 * max(one.box.width, one.box.height)
         windows = [replace(PersonWindow.about_box(one.box, roll), side=side) for roll in rolls]
         return max(self._objects.log_odds(frame, window) for window in windows)
 
@@ -241,7 +233,9 @@ def _raise_expected(
     for box in boxes:
         near = [row for row, one in enumerate(people) if may_be_reached(one.box, box)]
         if near:
-            odds[max(near, key=lambda row: odds[row])] += _EXPECTED_LOG_ODDS
+            # People do not vanish, but a falling person is blurred, and then lies in a pose that
+            # detectors rarely recognise.
+            odds[max(near, key=lambda row: odds[row])] += 1.0
 
 
 def _by_score(one: Detection) -> float:
@@ -273,15 +267,11 @@ def object_odds(person: float, other: float) -> float:
     return float(fitted["person"] * person + fitted["excess"] * excess + fitted["offset"])
 
 
-# Least distance of scores from 0 and 1 when their log odds are taken.
-_MIN_PROBABILITY = 1e-4
-
-
 def detection_features(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     """Features ``(N, 3)`` of the fitted probability, from :meth:`NetworkDetector.candidates`.
 
     They are MoveNet's log odds, HOG's margin if positive, and the score of BlazePose's detector.
     """
     movenet, margin, *others = scores.T
-    odds = logit(np.maximum(movenet, MIN_MOVENET_SCORE), _MIN_PROBABILITY)
+    odds = logit(np.maximum(movenet, MIN_MOVENET_SCORE), 1e-4)
     return np.stack([odds, np.maximum(0.0, margin), *others], axis=1)

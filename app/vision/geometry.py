@@ -199,11 +199,6 @@ class PersonWindow:
         x, y, roll_deg = (round(64 * value) / 64 for value in (self.x, self.y, self.roll_deg))
         return PersonWindow(x, y, max(1, round(64 * self.side)) / 64, roll_deg)
 
-    def drift(self, other: PersonWindow) -> float:
-        """Mean distance to the corners of another window, as a share of this one's side."""
-        apart = self.corners() - other.corners()
-        return float(np.linalg.norm(apart, axis=1).mean() / self.side)
-
 
 def transform_points(
     matrix: NDArray[np.float64], points: NDArray[np.floating]

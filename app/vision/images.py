@@ -2,7 +2,7 @@
 
 A PNG of 389 KB can hold 20,000 x 20,000 pixels, which take seconds and gigabytes to decode, so
 format and size are read from the header first. With that, time and memory are bounded for JPEG and
-PNG (:mod:`app.vision.plain`). A few hundred kilobytes of the other formats can take both without
+PNG (:mod:`app.vision.files`). A few hundred kilobytes of the other formats can take both without
 bound; the service decodes them in :mod:`app.decoding`.
 """
 
@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
+from app.vision.files import NotPlainError, kind_of, plain
 from app.vision.halved import HalvedFrame
-from app.vision.kinds import kind_of
-from app.vision.plain import NotPlainError, plain
 
 FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TIFF", "GIF")
 
@@ -66,7 +65,8 @@ class Photograph:
     def of(cls, pixels: NDArray[np.uint8], *found: ImageWarning) -> Photograph:
         """Make a photograph; if the picture ``(H, W, 3)`` is dark, add that to the warnings."""
         sample = _sample(pixels)
-        is_dark = np.count_nonzero(sample >= _BRIGHT_FROM) <= _BRIGHT_SHARE * sample.size
+        # Counting takes a seventh of the time of a percentile.
+        is_dark = np.count_nonzero(sample >= 20) <= 0.01 * sample.size
         dark: tuple[ImageWarning, ...] = ("dark",) if is_dark else ()
         return cls(pixels, (*dark, *sorted(found)))
 
@@ -142,16 +142,13 @@ def _check_missing(share: float, header: Image.Image) -> None:
         raise ImageError(f"the {header.format} image is broken: most of it is missing")
 
 
-_GREY = 128.0  # Behind transparent pixels.
-
-
 def _upon_grey(rgba: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """BGR pixels of RGBA ones, with transparent pixels blended with grey."""
     alpha = cv2.cvtColor(rgba[..., 3], cv2.COLOR_GRAY2BGR)
     shown = cv2.cvtColor(rgba, cv2.COLOR_RGBA2BGR)
     cv2.multiply(shown, alpha, dst=shown, scale=1 / 255)
     cv2.bitwise_not(alpha, dst=alpha)
-    return np.asarray(cv2.addWeighted(shown, 1.0, alpha, _GREY / 255, 0.0, dst=shown), np.uint8)
+    return np.asarray(cv2.addWeighted(shown, 1.0, alpha, 128 / 255, 0.0, dst=shown), np.uint8)
 
 
 # Shares of a JPEG's sides at which its coefficients give a grey picture.
@@ -232,9 +229,6 @@ def turn_of(pixels: int, checkpoint: Callable[[], None]) -> Iterator[None]:
         _LARGE_ONES.release()
 
 
-_ON_THE_SIDE = (5, 6, 7, 8)  # EXIF orientations that swap the sides.
-
-
 def blank_image(
     data: bytes, *, max_pixels: int, checkpoint: Callable[[], None] = lambda: None
 ) -> Photograph:
@@ -244,18 +238,13 @@ def blank_image(
     """
     data, header = read_header(data, max_pixels)
     if header.format == "JPEG":
-        on_the_side = header.getexif().get(ExifTags.Base.Orientation) in _ON_THE_SIDE
+        on_the_side = header.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
         shape = header.size if on_the_side else header.size[::-1]
     else:
         with turn_of(header.width * header.height, checkpoint):
             shape = decode_pixels(data, header, cv2.IMREAD_COLOR).shape[:2]
     return Photograph(np.zeros((*shape, 3), np.uint8))
 
-
-# A picture is dark if at most this share of its values is bright, which are those from this level
-# on. Counting takes a seventh of the time of a percentile.
-_BRIGHT_SHARE = 0.01
-_BRIGHT_FROM = 20
 
 # libjpeg's decoder fills the missing part of a JPEG with exactly this grey.
 _MISSING = 128
@@ -293,29 +282,19 @@ def _lacks_its_end(data: bytes, header: Image.Image) -> bool:
     return bool((changed != _MISSING).sum() > (changed == _MISSING).sum())
 
 
-# The range of 16-bit values that is stretched excludes outliers of this percentage, and is at
-# least this wide: a narrower one would be noise.
-_OUTLIER_PERCENTILE = 0.1
-_MIN_USED_RANGE = 64
-
-
 def _used_range(pixels: NDArray[np.uint16]) -> tuple[int, int]:
     """The used range of 16 bits without outliers, end excluded; all if it is tiny or high."""
-    outliers = _OUTLIER_PERCENTILE
-    sample = _sample(pixels)
-    low, high = np.percentile(sample, [outliers, 100 - outliers]).astype(int).tolist()
-    if high >= 2**15 or high - low < _MIN_USED_RANGE:
+    low, high = np.percentile(_sample(pixels), [0.1, 99.9]).astype(int).tolist()
+    if high >= 2**15 or high - low < 64:  # A narrower one would be noise.
         return 0, 2**16
     return low, high + 1
-
-
-_SAMPLED_PX = 20_000  # Percentiles of the sample take half a millisecond.
 
 
 def _sample(pixels: NDArray[Any]) -> NDArray[Any]:
     """Pixels evenly spaced in an image ``(H, W, ...)``, few enough for statistics."""
     height, width = pixels.shape[:2]
-    step = math.ceil(math.sqrt(height * width / _SAMPLED_PX))
+    # Percentiles of 20,000 values take half a millisecond.
+    step = math.ceil(math.sqrt(height * width / 20_000))
     return pixels[:: min(step, height), :: min(step, width)]
 
 

@@ -229,10 +229,8 @@ def _counts(
 
 
 # A value counts as white from this share of the largest value, and as black up to the rest of it:
-# lossy compression and resizing move values by less, except at edges. Pixels of shades in between
-# may be this share of the person's pixels.
+# lossy compression and resizing move values by less, except at edges.
 _CERTAIN_SHARE = 0.81
-_MAX_BETWEEN = 0.75
 
 _SOFT_EDGES = (
     "expected a mask of labels that mark bodies, got {} values: a mask with soft edges must be "
@@ -247,7 +245,7 @@ def _thresholded(image: LabelImage, lossy: bool) -> NDArray[np.uint8]:
     certain = round(_CERTAIN_SHARE * peak)
     between = np.count_nonzero((values > peak - certain) & (values < certain))
     count = np.count_nonzero(marked)  # 0 if labels are small numbers.
-    if count and between <= _MAX_BETWEEN * count:
+    if count and between <= 0.75 * count:
         return marked
     if lossy:
         raise ImageError(
@@ -257,22 +255,15 @@ def _thresholded(image: LabelImage, lossy: bool) -> NDArray[np.uint8]:
     raise ImageError(_SOFT_EDGES.format(len(image.present)))
 
 
-# Most pairs of neighbouring pixels with different labels: this number and, above the last number,
-# also this share of the pixels. Fifty people filling a frame of 12 megapixels give 400,000 pairs, a
-# thirtieth of the pixels; noise gives two pairs for each pixel.
-_MAX_LABEL_CHANGES = 1_000_000
-_MAX_LABEL_CHANGE_SHARE = 0.5
-_FEW_LABEL_CHANGES = 10_000
-
-
 def _check_scatter(image: LabelImage) -> None:
     part = image.part
     changes = sum(
         np.count_nonzero(first != second)
         for first, second in ((part[:, 1:], part[:, :-1]), (part[1:], part[:-1]))
     )
-    many = max(_FEW_LABEL_CHANGES, _MAX_LABEL_CHANGE_SHARE * part.size)
-    most = min(_MAX_LABEL_CHANGES, round(many))
+    # Fifty people filling a frame of 12 megapixels give 400,000 pairs, a thirtieth of the pixels;
+    # noise gives two pairs for each pixel.
+    most = min(1_000_000, max(10_000, part.size // 2))
     if changes > most:
         raise ImageError(
             "expected a mask whose labels mark people, got scattered ones: "
@@ -281,10 +272,8 @@ def _check_scatter(image: LabelImage) -> None:
 
 
 # Longer side of the smallest figure: below it, a third of the clear postures of rendered people
-# change. Parts of a label below this size and below this share of its largest part are specks.
+# change.
 _MIN_FIGURE_PX = 12
-_SPECK_SHARE = 0.05
-_MAX_NAMED = 5
 
 
 def _of_figures(image: LabelImage) -> LabelImage:
@@ -306,7 +295,7 @@ def _of_figures(image: LabelImage) -> LabelImage:
     border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
     # Largest share of the frame's border that people cover.
     if np.count_nonzero(border) >= 0.75 * border.size:
-        found = ", ".join(map(str, np.unique(border[border > 0])[:_MAX_NAMED].tolist()))
+        found = ", ".join(map(str, np.unique(border[border > 0])[:5].tolist()))
         raise ImageError(
             f"expected a mask whose background is 0, got labels {found} along the frame's border: "
             "the mask may be inverted, or label walls and floors"
@@ -319,7 +308,8 @@ def _without_specks(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     parts = stats[1:]
     is_large = parts[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1) >= _MIN_FIGURE_PX
     areas = parts[:, cv2.CC_STAT_AREA]
-    keep = is_large | ((areas >= _SPECK_SHARE * areas.max()) & is_large.any())
+    # Smaller parts, also relative to the largest, are specks.
+    keep = is_large | ((areas >= 0.05 * areas.max()) & is_large.any())
     return mask if keep.all() else np.append(False, keep)[labels]
 
 

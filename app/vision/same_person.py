@@ -25,9 +25,6 @@ from app.vision.people import Detection, Silhouette
 
 # Overlap from which two boxes of a frame show one person; two people side by side reach 0.3.
 _SAME_BOX_IOU = 0.4
-# Points of one person are in the same place within this distance, in sizes of the body, for most of
-# their weight. Keypoints of lower scores are not compared.
-_SAME_PLACE, _MIN_COMPARED_SCORE = 0.12, 0.1
 
 
 def tell_apart(found: Sequence[Detection]) -> tuple[list[Detection], list[Detection]]:
@@ -50,7 +47,7 @@ def _same_keypoints(one: Detection, other: Detection) -> bool:
     first, second = one.keypoints, other.keypoints
     if one.box.intersection(other.box) == 0 or first is None or second is None:
         return False
-    compared = np.minimum(first.scores, second.scores) > _MIN_COMPARED_SCORE
+    compared = np.minimum(first.scores, second.scores) > 0.1
     weights = np.sqrt(first.scores * second.scores) * compared
     size = math.sqrt(min(one.box.area, other.box.area))
     return _same_points(first.positions, second.positions, weights, size)
@@ -82,7 +79,7 @@ def _same_points(
     size: float,
 ) -> bool:
     """Whether points ``(N, 2)`` with most of the weight ``(N,)`` lie in the same places."""
-    close = np.linalg.norm(first - second, axis=1) < _SAME_PLACE * size
+    close = np.linalg.norm(first - second, axis=1) < 0.12 * size
     return bool(weights @ close >= 0.5 * weights.sum())
 
 
@@ -147,8 +144,7 @@ def colour_distance(first: NDArray[np.float32], second: NDArray[np.float32]) -> 
 FEATURES = 13
 """Numbers that compare a known person with one of a frame; see :meth:`KnownPerson.features`."""
 
-# Distances beyond so many body sizes, and times beyond so many seconds, say no more.
-_FAR, _LONG_S = 4.0, 3.0
+_FAR = 4.0  # Distances beyond so many body sizes say no more.
 
 
 @dataclass(frozen=True)
@@ -193,7 +189,7 @@ class KnownPerson:
                 min(abs(box.bottom - self.seen.bottom) / largest, _FAR),
                 abs(math.log(box.width / box.height * self.seen.height / self.seen.width)),
                 self.seen.intersection(box) / min(self.seen.area, box.area),
-                min(self.elapsed_s, _LONG_S),
+                min(self.elapsed_s, 3.0),
                 apart,
                 unknown,
                 float(in_window),

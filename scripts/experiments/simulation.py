@@ -18,9 +18,8 @@ from app.estimation.posture import likeliest_posture
 from index.confidence import RIGHT_BELOW_PX
 from index.matching import DEFAULT_HYPOTHESES
 from index.nearest import match_nearest
-from index.network import AXES
+from index.network import AXES, RankingModel
 from index.posture import LOW, POSTURES, SILHOUETTE_GROUPS, classify_postures
-from index.reranking import RankingModel
 from index.skeleton import BODY_UP, JOINTS
 from index.store import PoseIndex
 from scripts.index.builder import HELD_OUT_AVATARS, QueryCounts, hold_out, simulate_queries

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from descriptor.descriptor import Descriptor
-from index.silhouettes import PACKED_BYTES, Silhouettes
 from index.skeleton import POINTS
-from index.store import ENTRY_DTYPE, SKELETON_DTYPE
+from index.store import ENTRY_DTYPE, PACKED_BYTES, SKELETON_DTYPE, Silhouettes
 from scripts.index.body import Avatar, Retargeting, pose_transforms, retarget
 from scripts.index.poses import Poses
 from scripts.index.views import PosedBodies, render_bodies

@@ -29,11 +29,9 @@ from index.artefact import (
     stored_name,
     version_of,
 )
-from index.network import halve
-from index.reranking import PostureNetwork, RankingModel
-from index.silhouettes import PACKED_BYTES, RAW_DEFLATE, Silhouettes
+from index.network import PostureNetwork, RankingModel, halve
 from index.skeleton import NATIVE
-from index.store import PoseIndex
+from index.store import PACKED_BYTES, RAW_DEFLATE, PoseIndex, Silhouettes
 
 # Without context for literals (``lc``, ``pb``), decompression is a third faster, for 1 % more
 # bytes.

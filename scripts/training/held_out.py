@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from index import DEFAULT_PATH
 from index.artefact import load_index, load_reranker
-from index.reranking import RankingModel
+from index.network import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
 from scripts.index.builder import IndexSpec, build, hold_out

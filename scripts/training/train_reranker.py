@@ -34,6 +34,7 @@ from index.network import (
     QUANT_MAX,
     JointNetwork,
     Layer,
+    RankingModel,
     bin_positions,
     input_planes,
     largest_sums,
@@ -42,7 +43,6 @@ from index.network import (
     quantise,
     quantised_relu,
 )
-from index.reranking import RankingModel
 from index.skeleton import JOINTS, POINTS, exchange_sides
 from index.store import PoseIndex
 from scripts.index.builder import (

@@ -25,9 +25,19 @@ from app.networks.probabilities import softmax
 from app.vision.judgement import FRAME_POSTURES
 from index import DEFAULT_PATH
 from index.artefact import load_index
-from index.network import QUANT_MAX, Array, JointNetwork, Layer, quantised_relu
+from index.network import (
+    INPUTS,
+    MIN_VOTE,
+    QUANT_MAX,
+    UNITS,
+    Array,
+    JointNetwork,
+    Layer,
+    PostureNetwork,
+    posture_inputs,
+    quantised_relu,
+)
 from index.posture import SILHOUETTE_GROUPS, classify_postures
-from index.reranking import INPUTS, MIN_VOTE, UNITS, PostureNetwork, posture_inputs
 from index.skeleton import BODY_UP, POINTS
 from index.store import SKELETON_DTYPE, PoseIndex
 from scripts.index.body import Avatar, Retargeting, pose_transforms, retarget

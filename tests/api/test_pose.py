@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from app.api.overlay import LEGEND
+from app.api.pictures import LEGEND
 from app.api.schemas import PoseResponse
 from tests.conftest import WALKERS, Photo, png
 from tests.golden.pictures import decode

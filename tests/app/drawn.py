@@ -76,11 +76,9 @@ class ColourReader:
     ) -> JudgedReading | None:
         self.looks += seen is None
         reading = self._in_window(frame, window)
-        return (
-            reading
-            if reading.presence > 0.5 and reading.window.drift(reading.next_window) < 0.35
-            else None
-        )
+        apart = reading.window.corners() - reading.next_window.corners()
+        drift = np.linalg.norm(apart, axis=1).mean() / reading.window.side
+        return reading if reading.presence > 0.5 and drift < 0.35 else None
 
     def with_mask(self, reading: JudgedReading) -> JudgedReading:
         return reading

@@ -16,7 +16,7 @@ from app.estimation.upload import Upload
 from app.photograph import Estimator
 from app.scheduling.job import DeadlineError, Job
 from app.tracking import actions, falls
-from app.tracking.events import EventDetector
+from app.tracking.events import Watches
 from app.tracking.results import Event, TrackedFrame
 from app.vision.geometry import Box
 from app.vision.optics import Optics
@@ -212,7 +212,7 @@ def test_who_was_hidden_does_not_fall_when_lost(
     session: CameraSession, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """However likely the fall seemed: another one walked in front of them, then on."""
-    monkeypatch.setattr(EventDetector, "lost", lambda *_: [Event("fell", "instant", 0.0, 1.0)])
+    monkeypatch.setattr(Watches, "lost", lambda *_: [Event("fell", "instant", 0.0, 1.0)])
     for step in range(12):
         left = 180 - 10 * step
         boxes = [Box(left - 0.5, 59.5, 30, PERSON)]
@@ -234,7 +234,7 @@ def test_who_is_lost_behind_another_one_did_not_fall(
 ) -> None:
     """Even if that one covers a few pixels of the place where they were last seen."""
     lost = (Event("fell", "instant", 0.0, 1.0),)
-    monkeypatch.setattr(EventDetector, "lost", lambda *_: lost)
+    monkeypatch.setattr(Watches, "lost", lambda *_: lost)
     both = [Box(one - 0.5, 59.5, 30, PERSON) for one in (100, left)]
     told = []
     for step in range(30):

@@ -8,17 +8,16 @@ import pytest
 from app.cameras import (
     CameraKey,
     CameraSessions,
-    CameraSettings,
     CameraTraffic,
     NoSessionsError,
     SessionLimits,
     Wanted,
 )
+from app.configuration import CameraConfiguration
 from app.estimation.upload import Upload, UploadError
 from app.photograph import Estimator
 from app.scheduling.job import Job
 from app.tracking.results import Event, TrackedFrame
-from app.vision.optics import Optics
 from tests.app.tracking.people import result_of
 
 UPLOAD = Upload(b"frame")
@@ -68,7 +67,7 @@ class Registry(CameraSessions):
         super().__init__(
             lambda _: FakeSession(lambda: self.while_working()),  # type: ignore[arg-type,return-value]
             SessionLimits(max_sessions, 60, max_memory_bytes),
-            dict.fromkeys(configured, CameraSettings()),
+            dict.fromkeys(configured, CameraConfiguration()),
             self._note,
             lambda: self.now,
         )
@@ -213,7 +212,7 @@ def test_cameras_are_known_by_a_session_or_settings_or_the_file() -> None:
     registry = Registry(3, 1_000_000, "hall")
     yard, hall = CameraKey(0, "yard"), CameraKey(0, "hall")
     assert registry.cameras() == ["hall"]
-    registry.configure(yard, CameraSettings(optics=Optics(fov_deg=60.0)))
+    registry.configure(yard, CameraConfiguration(fov_deg=60.0))
     registry.send("roof")
     assert registry.cameras() == ["hall", "roof", "yard"]
     assert registry.summary(hall).session is None and registry.events(yard) == ()
@@ -228,7 +227,7 @@ def test_cameras_are_known_by_a_session_or_settings_or_the_file() -> None:
 
 
 def test_a_service_without_sessions_configures_no_camera() -> None:
-    for settings in (CameraSettings(), CameraSettings(optics=Optics(fov_deg=60.0))):
+    for settings in (CameraConfiguration(), CameraConfiguration(fov_deg=60.0)):
         with pytest.raises(NoSessionsError, match="keeps no camera sessions"):
             Registry(max_sessions=0).configure(CameraKey(0, "yard"), settings)
 

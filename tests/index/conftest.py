@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from index.artefact import load_index
-from index.reranking import RankingModel
+from index.network import RankingModel
 from index.store import PoseIndex
 from tests.conftest import INDEXES
 from tests.index.helpers import random_reranker

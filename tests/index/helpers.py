@@ -11,9 +11,17 @@ from numpy.typing import NDArray
 from index.artefact import version_of
 from index.confidence import RERANKING_FEATURES, Calibration, signs
 from index.landmarks import NormalisedLandmarks
-from index.network import LAYER_SHAPES, QUANT_MAX, JointNetwork, Layer
+from index.network import (
+    INPUTS,
+    LAYER_SHAPES,
+    QUANT_MAX,
+    UNITS,
+    JointNetwork,
+    Layer,
+    PostureNetwork,
+    RankingModel,
+)
 from index.posture import SILHOUETTE_GROUPS
-from index.reranking import INPUTS, UNITS, PostureNetwork, RankingModel
 from index.skeleton import JOINTS, LIMB_HIPS, LIMB_ROWS, mirror_3d, mirror_normalised
 from index.store import PoseIndex
 

@@ -72,8 +72,6 @@ def test_modes_are_distinct_and_keep_bone_lengths(
         joints = found.points_3d[:, None, :JOINTS]
         nearest = np.sqrt(((joints - centres) ** 2).sum(axis=-1).mean(axis=-1)).min(axis=1)
         assert (nearest < DISTINCT_M + 1e-6).all()
-    assert (modes.votes > 0).all()
-    assert (modes.votes <= 1 + 1e-6).all()
     assert (modes.distances >= 0).all()
     assert modes.points_3d.shape == (len(modes), POINTS, 3)
     for numbers in (modes.distances, modes.points_3d, modes.points_normalised):
@@ -87,7 +85,7 @@ def test_denser_mode_comes_first() -> None:
     angles = np.linspace(0, 2 * np.pi, 10, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # all as near
     modes = modes_of(candidates_of(np.zeros(2), ring, poses), 5)
-    assert modes.votes == pytest.approx([0.7, 0.3], abs=1e-3)
+    assert len(modes) == 2
     assert_allclose(modes.points_3d[0], some_pose(2), atol=1e-3)
 
 

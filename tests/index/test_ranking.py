@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from index.candidates import Candidates, RotatedQuery, find_candidates
 from index.landmark_matching import match_landmarks
 from index.modes import candidate_weights, find_modes
-from index.ranking import NetworkRanking
-from index.reranking import RankingModel
+from index.network import RankingModel
+from index.silhouette_matching import NetworkRanking
 from index.skeleton import JOINTS, bone_lengths, rows
 from index.store import PoseIndex
 from tests.index.helpers import landmarks_of

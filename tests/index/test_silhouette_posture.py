@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from numpy.typing import NDArray
 
-from index.network import HIDDEN, QUANT_MAX
+from index.network import HIDDEN, QUANT_MAX, RankingModel, posture_inputs
 from index.posture import POSTURES, SILHOUETTE_GROUPS, UPRIGHT, PostureName, vote_posture
-from index.reranking import RankingModel, posture_inputs
 from index.silhouette_matching import match_silhouette
 from index.store import PoseIndex
 from tests.index.helpers import random_postures

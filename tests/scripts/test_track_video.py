@@ -7,7 +7,7 @@ import av
 import cv2
 import pytest
 
-from app.decoding.frames import Video
+from app.decoding.video_program import Video
 from scripts import track_video
 from tests.conftest import SHARED
 from tests.support.videos import Picture, write_video

@@ -28,16 +28,14 @@ DETECTOR_PX = 224
 ANCHOR_GRIDS = ((8, 2), (16, 2), (32, 6))
 """Stride of each grid in pixels, and anchors per cell."""
 
-_ANCHORS, _ANCHOR_VALUES = 2254, 12
-# Least score, and the overlap from which two boxes of the network belong to one body.
-_MIN_SCORE, _NMS_IOU = 0.3, 0.3
+_ANCHORS = 2254
 
 
 class BlazePoseDetector(TfliteNetwork):
     """BlazePose's person detector."""
 
     def __init__(self, path: Path, **share: int) -> None:
-        outputs = [(_ANCHORS, _ANCHOR_VALUES), (_ANCHORS, 1)]
+        outputs = [(_ANCHORS, 12), (_ANCHORS, 1)]
         super().__init__(path, [(DETECTOR_PX, DETECTOR_PX, 3)], outputs, **share)
 
     def detect(self, picture: Picture) -> list[Detection]:
@@ -67,9 +65,10 @@ class BlazePoseDetector(TfliteNetwork):
         padded[top : top + rows, left : left + columns] = small / np.float32(127.5) - 1
         values, log_odds = self.run(padded)
         scores = sigmoid(log_odds[:, 0].astype(np.float64))
-        used = np.flatnonzero(scores >= _MIN_SCORE)
+        used = np.flatnonzero(scores >= 0.3)
         boxes, points = decode_anchors(values, used)
-        kept = non_max_suppression(boxes, scores[used], _NMS_IOU)
+        # Two boxes that overlap by this belong to one body.
+        kept = non_max_suppression(boxes, scores[used], 0.3)
         # The scale leads from pixel centres of the network's input to those of the image.
         scale = np.array([width / columns, height / rows])
         points = (points - [left, top]) * scale - 0.5

@@ -32,18 +32,6 @@ _STRIDE_PX = 8
 _HOG = cv2.HOGDescriptor()
 _HOG.setSVMDetector(cv2.HOGDescriptor_getDefaultPeopleDetector())  # type: ignore[attr-defined]
 
-# Height of the smallest person searched for by default, as a share of the frame's height: smaller
-# ones take most of the time, and hardly any more of them are found (vtest: 91 instead of 92 %).
-_MIN_PERSON_SHARE = 1 / 8
-# The person in a window, as shares of it: left, top, width, height. Chosen on vtest.
-_PERSON_IN_WINDOW = np.array([0.22, 0.1, 0.56, 0.8])
-# Of two windows, the one with the lower margin is dropped from this overlap (IoU) on, or if so much
-# of the smaller one lies in the other: windows on the legs of a person, for example.
-_MAX_IOU, _MAX_COVERED = 0.4, 0.7
-# Log odds that a window shows a person: slope and offset over its margin. Fitted by
-# `python -m scripts fit-paper` to 134 windows in frames of vtest.
-_SLOPE, _OFFSET = 3.26, -2.57
-
 
 @dataclass(frozen=True)
 class HogDetector:
@@ -57,7 +45,8 @@ class HogDetector:
 
     def detect(self, picture: Picture) -> list[Detection]:
         boxes, margins = self.kept_windows(whole(picture.frame))
-        scores = sigmoid(_SLOPE * margins + _OFFSET)
+        # Fitted by `python -m scripts fit-paper` to 134 windows in frames of vtest.
+        scores = sigmoid(3.26 * margins - 2.57)
         height, width = picture.frame.shape[:2]
         found = []
         for row, score in zip(boxes.tolist(), scores.tolist(), strict=True):
@@ -75,7 +64,9 @@ class HogDetector:
     def windows(self, frame: NDArray[np.uint8]) -> tuple[Boxes, NDArray[np.float64]]:
         """Boxes ``(N, 4)`` of all windows of a frame with a positive margin, and their margins."""
         height, width = frame.shape[:2]
-        smallest = self.min_person_px or _MIN_PERSON_SHARE * height
+        # Smaller people take most of the time, and hardly any more are found (vtest: 91 instead of
+        # 92 %).
+        smallest = self.min_person_px or height / 8
         factor = min(PERSON_PX / smallest, math.sqrt(MAX_FINE_PX / (height * width)))
         size = max(1, round(factor * width)), max(1, round(factor * height))
         # OpenCV crashes on an image that holds no window.
@@ -97,8 +88,8 @@ class HogDetector:
         # Windows that are compared with one another, which bounds the memory.
         order = np.lexsort((*found.T, -margins))[:1000]
         found, margins = found[order], margins[order]
-        left, top, across, down = _PERSON_IN_WINDOW
-        sides = np.tile(found[:, 2:], 2) * np.array([left, top, across, down])
+        # The person in a window, as shares of it: left, top, width, height. Chosen on vtest.
+        sides = np.tile(found[:, 2:], 2) * np.array([0.22, 0.1, 0.56, 0.8])
         sides[:, :2] += found[:, :2]
         boxes = sides / np.tile([size[0] / width, size[1] / height], 2)
         boxes[:, :2] -= 0.5
@@ -112,7 +103,8 @@ def _without_overlaps(boxes: Boxes, margins: NDArray[np.float64]) -> list[int]:
     shared = np.clip(np.minimum(ends[:, None], ends[None]) - low, 0, None).prod(axis=2)
     areas = boxes[:, 2:].prod(axis=1)
     covered = shared / np.minimum(areas[:, None], areas[None])
-    clash = (iou_matrix(boxes, boxes) >= _MAX_IOU) | (covered >= _MAX_COVERED)
+    # Windows on the legs of a person, for example, are covered by another one.
+    clash = (iou_matrix(boxes, boxes) >= 0.4) | (covered >= 0.7)
     kept: list[int] = []
     for row in np.argsort(-margins, kind="stable").tolist():
         if not clash[row, kept].any():

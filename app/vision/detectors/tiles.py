@@ -78,9 +78,6 @@ class Picture:
 OVERVIEW_PX = (640, 352)
 """Largest sides of the overview: a camera with more pixels does not cost more."""
 
-MAX_ENLARGEMENT = 1.5
-"""Largest factor by which small frames are enlarged."""
-
 MIN_SIDE_PX = 12
 """Shortest side of the overview; thinner frames cannot show a person."""
 
@@ -123,7 +120,7 @@ def tiles_of(width: int, height: int, min_person_px: float | None = None) -> lis
     # Portrait frames are seen as large as landscape frames.
     longer, shorter = max(width, height), min(width, height)
     long_px, short_px = OVERVIEW_PX
-    overview = min(long_px / longer, short_px / shorter, MAX_ENLARGEMENT)
+    overview = min(long_px / longer, short_px / shorter, 1.5)
     if shorter * overview < MIN_SIDE_PX:
         return []
     whole = Tile((0, 0, width, height), overview)
@@ -142,14 +139,12 @@ def tiles_of(width: int, height: int, min_person_px: float | None = None) -> lis
 MAX_TILE_PX = 160_000
 """Area of a tile as detectors see it, which bounds the memory."""
 
-_MAX_TILES_PER_SIDE = 8
-
 
 def _grid(width: int, height: int, factor: float) -> list[PixelRect]:
     """Overlapping tiles, small enough when resized by ``factor``, with the smallest total area."""
     # Overlap of tiles, so that a person at a seam is whole in the next tile or the overview.
     overlap = 96 / factor
-    counts = range(1, _MAX_TILES_PER_SIDE + 1)
+    counts = range(1, 9)
     widths = {columns: _part(width, columns, overlap) for columns in counts}
     heights = {rows: _part(height, rows, overlap) for rows in counts}
     _, columns, rows = min(

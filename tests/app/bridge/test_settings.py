@@ -36,8 +36,7 @@ def test_a_camera_has_what_the_services_file_of_cameras_has(file: Path) -> None:
     assert yard.configuration == yard.model_dump(include={"zones", "fov_deg"})
     json = CameraConfiguration.model_validate(yard.configuration).model_dump_json()
     file.with_suffix(".json").write_text(f'{{"yard": {json}}}')
-    (zone,) = read_cameras(file.with_suffix(".json"))["yard"].zones
-    assert (zone.name, zone.polygon.tolist()) == ("bed", yard.zones[0].polygon)
+    assert read_cameras(file.with_suffix(".json"))["yard"].zones == yard.zones
     file.write_text("cameras: {yard: {source: 0}}")
     assert read_file(file).cameras["yard"].configuration is None  # The service knows it.
 

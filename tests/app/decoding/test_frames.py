@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from app.decoding import MIN_STEP_S, Frame
-from app.decoding.frames import Clock, TooLargeError, UnreadableError, Video
+from app.decoding.video_program import Clock, TooLargeError, UnreadableError, Video
 from tests.conftest import WALKERS
 from tests.support.videos import Picture, Scan, numbered_frames, with_display_matrix, write_video
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.estimation.bodies import check_bodies
-from app.estimation.upload import UploadError
+from app.estimation.upload import UploadError, check_bodies
 from app.photograph import Estimator
 from app.vision.masks import LabelImage
 from index.store import PoseIndex

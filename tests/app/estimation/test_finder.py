@@ -12,9 +12,8 @@ from app.estimation.upload import DecodedUpload
 from app.scheduling.job import Job
 from app.vision.blazepose import PoseReading
 from app.vision.geometry import Box, PersonWindow
-from app.vision.optics import Optics, PinholeCamera
+from app.vision.optics import Optics, PinholeCamera, Rectification
 from app.vision.people import LANDMARK_NAMES, Detection
-from app.vision.rectification import Rectification
 from tests.app.painted import Believing, KnownReader, detected, painted, unseen
 
 SHAPE = (240, 320, 3)

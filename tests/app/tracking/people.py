@@ -59,7 +59,6 @@ def person_of(
             confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),
             posture=postures[entry] if postures else "standing", distance=1.0,
             label=label, points_2d=np.array(centre) + PX_PER_M * pose[:, :2],
-            pelvis=np.array([0.0, 0.0, 8.0]),
         )  # fmt: skip
         hypotheses.append(hypothesis)
     height = 1.7 * PX_PER_M

@@ -12,13 +12,13 @@ from app.tracking.actions import (
     RATE_HZ,
     ActionModel,
     ActionRecogniser,
-    PoseSample,
     action_features,
     posture_factors,
     shipped_model,
     window_features,
 )
-from app.tracking.results import RecognisedAction, SmoothedPose
+from app.tracking.results import RecognisedAction
+from app.tracking.seen_body import SeenBody
 from app.vision.geometry import Box
 from index.posture import POSTURES, PostureName, camera_up
 from index.skeleton import camera_rotation, mirror_3d
@@ -44,9 +44,8 @@ def features_of(
     return action_features(poses, up, np.outer(np.arange(len(poses)) / RATE_HZ, [m_s, 0.0]))
 
 
-def sample(time: float, points_3d: NDArray[np.float64]) -> PoseSample:
-    pose = SmoothedPose(points_3d, PX_PER_M * points_3d[:, :2], 0.8, 0)
-    return PoseSample.of(time, pose, 10.0)
+def body(points_3d: NDArray[np.float64]) -> SeenBody:
+    return SeenBody(np.zeros(1), np.zeros(1), 1.0, PX_PER_M, 10.0, np.zeros(2), points_3d)
 
 
 def recognise(
@@ -56,7 +55,7 @@ def recognise(
     rotation = camera_rotation(30.0, 10.0)
     poses = swinging(len(times) / RATE_HZ) @ rotation.T
     return [
-        recogniser.update(sample(time, pose), person_of([pose], [0.8], action=action))
+        recogniser.update(time, body(pose), person_of([pose], [0.8], action=action))
         for time, pose in zip(times, poses, strict=True)
     ]
 
@@ -87,12 +86,9 @@ def test_features_show_tempo_and_travel() -> None:
 
 def test_features_hardly_change_with_the_frame_rate() -> None:
     coarse, fine = (
-        window_features([
-            PoseSample(number / hz, pose, np.zeros(2), PX_PER_M, 10.0)
-            for number, pose in enumerate(swinging(3, hz, speed=0.4))
-        ])
+        window_features((np.arange(3 * hz) / hz).tolist(), [*map(body, swinging(3, hz, speed=0.4))])
         for hz in (10, 30)
-    )  # fmt: skip
+    )
     assert np.abs(coarse - fine).max() < 0.25
     assert np.abs(coarse - fine).mean() < 0.02
 
@@ -122,7 +118,7 @@ def test_limbs_of_small_people_count_little(
     for step, pose in enumerate(swinging(2)):
         one = person_of([pose], [0.8])
         one = replace(one, box=box)
-        result = recogniser.update(sample(step / RATE_HZ, pose), one, one_hot("standing"))
+        result = recogniser.update(step / RATE_HZ, body(pose), one, one_hot("standing"))
     assert result is not None and result.label == best
 
 

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from app.estimation.results import Person
+from app.tracking.results import SmoothedPose
 from app.tracking.seen_body import SeenBody
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette
 from index.posture import POSTURES, camera_up, classify_postures
@@ -56,6 +57,17 @@ def test_landmarks_make_a_skeleton_of_the_index() -> None:
     np.testing.assert_allclose(skeleton, points, atol=0.1)
     posture = classify_postures(skeleton[None], camera_up(10.0))[0]
     assert POSTURES[posture] == "standing"
+
+
+def test_a_smooth_pose_gives_a_silhouette_its_skeleton() -> None:
+    points = standing_body() @ camera_rotation(30.0, 10.0).T
+    body = SeenBody.of(person_of([points], [0.8]))
+    assert body is not None and body.skeleton is None
+    pose = SmoothedPose(points, CENTRE + PX_PER_M * points[:, :2], 0.8, 0, np.zeros(10))
+    seen_in_pose = body.in_pose(pose)
+    assert seen_in_pose.skeleton is points
+    assert seen_in_pose.px_per_m == pytest.approx(PX_PER_M)
+    assert seen_in_pose.hips_px == pytest.approx(CENTRE)
 
 
 def test_nothing_is_seen_without_landmarks_and_hypotheses() -> None:

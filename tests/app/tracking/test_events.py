@@ -2,12 +2,14 @@
 
 from collections.abc import Iterable
 
+import numpy as np
 import pytest
 
 from app.estimation.posture import LANDMARK_GROUPS
-from app.tracking.events import EventDetector
+from app.tracking.events import Watches
 from app.tracking.falls import observation
 from app.tracking.results import Event
+from app.tracking.zones import Zone
 from app.vision.geometry import Box
 from index.posture import PostureName, vote_posture
 
@@ -18,6 +20,7 @@ BOXES: dict[PostureName, Box] = {
     "sitting": Box(295, 220, 80, 130), "kneeling": Box(295, 220, 80, 130),
 }  # fmt: skip
 STANDS = Box(300, 150, 70, 200)
+BED = Zone("bed", "rest", np.array([[0.0, 0.0], [640, 0], [640, 480], [0, 480]]))
 
 
 def watch(
@@ -26,10 +29,11 @@ def watch(
     probability: float = 0.9,
     confidence: float = 1.0,
     rests: bool = False,
-    detector: EventDetector | None = None,
+    watches: Watches | None = None,
 ) -> list[Event]:
     """Events of a person who is in each posture for some seconds."""
-    detector = detector or EventDetector()
+    watches = watches or Watches()
+    watches.enter(0.0, [BED] if rests else [], STANDS, 1.0)
     events: list[Event] = []
     frame = 0
     for posture, seconds in parts:
@@ -38,7 +42,7 @@ def watch(
             shares = vote_posture([posture, other], [probability, 1 - probability])
             box = BOXES.get(posture, STANDS)
             seen = observation(box, FRAME, LANDMARK_GROUPS.sums(shares), 0.6 * confidence)
-            events += detector.update(frame / fps, shares, confidence, seen, rests=rests)
+            events += watches.update(frame / fps, shares, confidence, seen)
             frame += 1
     return events
 
@@ -92,9 +96,9 @@ def test_events_of_postures(
 def test_what_has_begun_to_show_at_the_end_is_unconfirmed(
     parts: list[tuple[PostureName, float]], expected: set[str]
 ) -> None:
-    detector = EventDetector()
-    watch(parts, detector=detector)
-    found = detector.unconfirmed()
+    watches = Watches()
+    watch(parts, watches=watches)
+    found = watches.unconfirmed()
     assert {one.event for one in found} - {"fell"} == expected
     assert all(one.state == "unconfirmed" for one in found)
     end = sum(seconds for _, seconds in parts) - 1 / FPS
@@ -128,19 +132,20 @@ def test_in_a_zone_for_resting_lying_is_no_event() -> None:
 @pytest.mark.parametrize("rests", [False, True])
 def test_who_is_lost_in_a_zone_for_resting_did_not_fall(rests: bool) -> None:
     """Elsewhere, the same person fell."""
-    detector = EventDetector()
-    assert not watch([("walking", 3), ("lying", 0.3)], rests=rests, detector=detector)
-    lost = detector.lost(3.3 + 2)
+    watches = Watches()
+    assert not watch([("walking", 3), ("lying", 0.3)], rests=rests, watches=watches)
+    lost = watches.lost(3.3 + 2)
     assert [(one.event, one.lost) for one in lost] == ([] if rests else [("fell", True)])
 
 
 def test_lying_begins_when_a_person_leaves_the_zone_for_resting() -> None:
-    detector = EventDetector()
-    watch([("lying", 5)], rests=True, detector=detector)
+    watches = Watches()
+    watch([("lying", 5)], rests=True, watches=watches)
+    watches.enter(5.0, [], STANDS, 1.0)
     events: list[Event] = []
     for frame in range(50, 100):
         shares = vote_posture(["lying", "bending"], [0.9, 0.1])
         seen = observation(BOXES["lying"], FRAME, LANDMARK_GROUPS.sums(shares), 0.6)
-        events += detector.update(frame / FPS, shares, 1.0, seen)
+        events += watches.update(frame / FPS, shares, 1.0, seen)
     assert names(events) == [("lying", "begin")]
     assert 5.2 < events[0].timestamp < 6

@@ -9,11 +9,11 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image, ImageSequence
 
-from app.api.replay_picture import encode_replay
+from app.api.pictures import encode_replay
+from app.configuration import Zone
 from app.estimation.results import Person
 from app.tracking.replay import COCO, Moment, Recorder, Replay
 from app.tracking.results import Event
-from app.tracking.zones import Zone
 from app.vision.people import silhouette_from_mask
 from tests.app.tracking.people import person_of, seen_from
 from tests.golden.pictures import falling
@@ -89,7 +89,7 @@ def test_nothing_is_kept_once_the_clock_is_set_back() -> None:
 
 
 def pictures(event: Event) -> list[NDArray[np.uint8]]:
-    zones = [Zone("bed", "rest", np.array([[10.0, 10], [90, 10], [90, 90]]))]
+    zones = [Zone(name="bed", kind="rest", polygon=[[10.0, 10], [90, 10], [90, 90]])]
     content = encode_replay(event, zones)
     assert len(content) <= 60_000
     with Image.open(io.BytesIO(content)) as film:

@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 
 from app.estimation.results import Person
 from app.tracking.motion import REFERENCE_HZ, Motion, MotionFilter
+from app.tracking.results import SmoothedPose
 from app.tracking.seen_body import SeenBody
-from app.tracking.smoothing import EXTRAPOLATED_S, SMOOTHING, PoseSmoother, Smoothed
+from app.tracking.smoothing import COST_PER_M, EXTRAPOLATED_S, PoseSmoother
 from app.vision.people import Landmarks
 from index.posture import POSTURES, azimuth_deg
 from index.skeleton import POINT_NAMES, POINTS, bone_lengths, mean_joint_distance, wrap_degrees
@@ -22,7 +23,7 @@ class Follower:
     def __init__(self) -> None:
         self.motions, self.smoother = MotionFilter(), PoseSmoother()
 
-    def update(self, person: Person, timestamp: float) -> tuple[Motion, Smoothed]:
+    def update(self, person: Person, timestamp: float) -> tuple[Motion, SmoothedPose]:
         body = SeenBody.of(person)
         assert body is not None
         motion = self.motions.update(timestamp, person.whole_box, body)
@@ -31,12 +32,12 @@ class Follower:
         return motion, smoothed
 
 
-def follow(people: list[Person]) -> list[tuple[Motion, Smoothed]]:
+def follow(people: list[Person]) -> list[tuple[Motion, SmoothedPose]]:
     follower = Follower()
     return [follower.update(person, 0.1 * frame) for frame, person in enumerate(people)]
 
 
-def likeliest(smoothed: Smoothed) -> str:
+def likeliest(smoothed: SmoothedPose) -> str:
     return POSTURES[int(smoothed.votes.argmax())]
 
 
@@ -62,7 +63,7 @@ def walkers(right_m_s: float, away_m_s: float, azimuths_deg: list[float]) -> lis
 def test_people_face_where_they_walk(right_m_s: float, away_m_s: float, facing_deg: float) -> None:
     candidates = [facing_deg, facing_deg + 180.0, 180.0 - facing_deg + 1e-3]
     motion, last = follow(walkers(right_m_s, away_m_s, candidates))[-1]
-    turned = wrap_degrees(azimuth_deg(last.pose.points_3d[None])[0] - facing_deg)
+    turned = wrap_degrees(azimuth_deg(last.points_3d[None])[0] - facing_deg)
     assert abs(float(turned)) < 30
     assert motion.walks
 
@@ -83,8 +84,8 @@ def test_a_single_flipped_frame_changes_nothing() -> None:
 def test_a_steady_pose_stays_as_it_is() -> None:
     pose = seen_from(30.0)
     for _, update in follow([person_of([pose], [0.8]) for _ in range(8)]):
-        np.testing.assert_allclose(update.pose.points_3d, pose, atol=1e-9)
-        assert update.pose.entry == 0
+        np.testing.assert_allclose(update.points_3d, pose, atol=1e-9)
+        assert update.entry == 0
 
 
 def test_bones_keep_their_lengths() -> None:
@@ -95,7 +96,7 @@ def test_bones_keep_their_lengths() -> None:
     ]
     for _, update in follow(people):
         np.testing.assert_allclose(
-            bone_lengths(update.pose.points_3d), bone_lengths(seen_from(0)), rtol=1e-6
+            bone_lengths(update.points_3d), bone_lengths(seen_from(0)), rtol=1e-6
         )
 
 
@@ -104,7 +105,7 @@ def test_noise_is_smoothed_away() -> None:
     pose = seen_from(40.0)
     noisy = [[pose + rng.normal(0, 0.05, pose.shape) for _ in range(6)] for _ in range(20)]
     updates = follow([person_of(poses, [0.5] * 6) for poses in noisy])
-    smooth = np.array([update.pose.points_3d for _, update in updates])
+    smooth = np.array([update.points_3d for _, update in updates])
     raw = np.array([poses[0] for poses in noisy])
     assert np.abs(smooth - pose).mean() < 0.9 * np.abs(raw - pose).mean()
     assert np.abs(np.diff(smooth, axis=0)).mean() < 0.7 * np.abs(np.diff(raw, axis=0)).mean()
@@ -129,9 +130,9 @@ def test_a_pose_is_extrapolated_along_with_the_person_for_a_second() -> None:
     moved = replace(person, box=replace(box, x=box.x + 8, y=box.y - 3))
     extrapolated = smoother.extrapolate(moved, EXTRAPOLATED_S)
     assert extrapolated is not None
-    np.testing.assert_allclose(extrapolated.points_2d - before.pose.points_2d, [[8, -3]] * POINTS)
-    np.testing.assert_array_equal(extrapolated.points_3d, before.pose.points_3d)
-    assert extrapolated.confidence < before.pose.confidence
+    np.testing.assert_allclose(extrapolated.points_2d - before.points_2d, [[8, -3]] * POINTS)
+    np.testing.assert_array_equal(extrapolated.points_3d, before.points_3d)
+    assert extrapolated.confidence < before.confidence
     assert smoother.extrapolate(person, EXTRAPOLATED_S + 0.1) is None
 
 
@@ -186,7 +187,7 @@ def test_the_sooner_a_pose_changes_the_more_evidence_it_needs(gap_s: float, foll
     for frame in range(3):
         follower.update(person_of([low, high], [0.7, 0.3]), frame / 10)
     _, last = follower.update(person_of([high, low], [0.7, 0.3]), 0.2 + gap_s)
-    assert (last.pose.entry == 0) == follows
+    assert (last.entry == 0) == follows
 
 
 @pytest.mark.parametrize("elapsed_s", [0.025, 0.1, 0.4])
@@ -198,7 +199,7 @@ def test_odds_of_a_move_fall_with_its_distance_and_rise_with_its_time(elapsed_s:
         person_of([low, high], [0.5, 0.5], postures=["sitting", "kneeling"]), elapsed_s
     )
     stays, moves = (last.votes[POSTURES.index(name)] for name in ("sitting", "kneeling"))
-    cost_per_m = SMOOTHING.cost_per_m * 2 / (1 + elapsed_s * REFERENCE_HZ)
+    cost_per_m = COST_PER_M * 2 / (1 + elapsed_s * REFERENCE_HZ)
     metres = mean_joint_distance(low[None], high[None])[0]
     assert np.log(stays / moves) == pytest.approx(cost_per_m * metres, rel=1e-3)
 
@@ -216,7 +217,7 @@ def test_a_pose_follows_from_the_last_frames_alone(by_landmarks: bool, frames: i
             if by_landmarks:
                 person = replace(person, box=box, landmarks=landmarks)
             _, last = follower.update(person, number / 32)
-        return last.pose.points_3d
+        return last.points_3d
 
     steady = [0.0] * 16
     for row in (0, 15 - frames, 16 - frames, 15):
@@ -228,14 +229,14 @@ def test_a_pose_follows_from_the_last_frames_alone(by_landmarks: bool, frames: i
 def test_poses_far_from_the_likeliest_do_not_blend_with_it() -> None:
     low, high = arms_raised(0.0), arms_raised(170.0)
     _, last = follow([person_of([low, high], [0.6, 0.55])] * 5)[-1]
-    mixed = np.linalg.norm(last.pose.points_3d - low, axis=-1).mean()
+    mixed = np.linalg.norm(last.points_3d - low, axis=-1).mean()
     assert mixed < 0.45 * np.linalg.norm(high - low, axis=-1).mean() * 0.55
 
 
 def test_a_steady_turn_is_followed_without_lag() -> None:
     turns = np.arange(0.0, 60.0, 3.0).tolist()
     _, last = follow([person_of([seen_from(azimuth)], [0.8]) for azimuth in turns])[-1]
-    assert azimuth_deg(last.pose.points_3d[None])[0] == pytest.approx(turns[-1], abs=1.0)
+    assert azimuth_deg(last.points_3d[None])[0] == pytest.approx(turns[-1], abs=1.0)
 
 
 @pytest.mark.parametrize(("height_px", "keeps"), [(60.0, True), (400.0, False)])
@@ -248,4 +249,4 @@ def test_small_upright_people_keep_the_side_that_they_show(height_px: float, kee
         replace(person, box=replace(person.box, height=height_px), landmarks=landmarks)
         for person in people
     ])[-1]  # fmt: skip
-    assert (azimuth_deg(last.pose.points_3d[None])[0] < 90) == keeps
+    assert (azimuth_deg(last.points_3d[None])[0] < 90) == keeps

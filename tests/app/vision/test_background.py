@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from app.vision.cutting import cut_out_changed, foreground, upright_regions
 from app.vision.geometry import Box
+from app.vision.silhouettes import cut_out_changed, foreground, upright_regions
 
 
 def figure(frame: NDArray[np.uint8], left: int, colour: tuple[int, int, int]) -> np.ndarray:

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from app.vision.cutting import cut_out_by_colour
 from app.vision.geometry import Box
+from app.vision.silhouettes import cut_out_by_colour
 from scripts.metrics import mask_iou
 
 

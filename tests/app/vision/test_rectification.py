@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.vision.optics import Optics, PinholeCamera
-from app.vision.rectification import Rectification
+from app.vision.optics import Optics, PinholeCamera, Rectification
 from tests.support.projection import project
 
 SIDES = st.integers(1, 2000)

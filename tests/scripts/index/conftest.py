@@ -12,7 +12,7 @@ import pytest
 from descriptor.descriptor import DiagonalDescriptor
 from index.artefact import load_index
 from index.confidence import Calibration
-from index.reranking import RankingModel
+from index.network import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
 from scripts.index.body import Avatar

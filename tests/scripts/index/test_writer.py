@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from descriptor.descriptor import DiscriminantDescriptor
 from descriptor.silhouette import outline_distances
 from index.artefact import POSTURES_NPZ, ArtefactError, load_index
-from index.reranking import RankingModel
+from index.network import RankingModel
 from index.search import ExactNeighbours
 from index.store import PoseIndex
 from scripts.index.writer import halved, save_index, save_postures, save_reranker

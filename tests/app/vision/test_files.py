@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
+from app.vision.files import NotPlainError, plain
 from app.vision.images import ImageError, decode_image
-from app.vision.plain import NotPlainError, plain
 from tests.app.vision.encoded import UPRIGHT, encode, quadrants, with_orientation
 from tests.support.expensive import jpeg, png, with_exif
 
