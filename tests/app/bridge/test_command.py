@@ -317,8 +317,17 @@ def falling_walker() -> Iterator[NDArray[np.uint8]]:
 
 
 def test_a_fall_on_film_is_detected_by_a_real_service(
-    server: Server, tmp_path: Path, capsys: Capture
+    server: Server, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """However slow the machine: a frame waits until the one before it was taken."""
+    time_of_day = source_module.Source._time_of_day
+
+    def taken(source: source_module.Source, moment: float) -> float:
+        while source._newest is not None:
+            source._changed.wait(0.01)
+        return time_of_day(source, moment)
+
+    monkeypatch.setattr(source_module.Source, "_time_of_day", taken)
     write_video(tmp_path / "yard.avi", list(falling_walker()), fps=6)
     assert run([str(tmp_path / "yard.avi"), "yard", "--url", server.url]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
