@@ -171,7 +171,7 @@ def start_server(
     return Server(f"http://127.0.0.1:{variables['PORT']}", process)
 
 
-def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Response:
+def wait_until(url: str, status: int = 200, timeout_s: float = 60) -> httpx.Response:
     """Poll until a URL answers with a status."""
     deadline = time.monotonic() + timeout_s
     while True:

@@ -129,7 +129,7 @@ def test_lines_arrive_while_the_video_is_worked_on(
 ) -> None:
     """One more is refused meanwhile, frames are answered, and a hang-up ends it all."""
     video = {"video": long_video}
-    with httpx.Client(base_url=narrow.url, timeout=30) as client:
+    with httpx.Client(base_url=narrow.url, timeout=60) as client:
         with client.stream("POST", "/sequence", files=video) as response:
             lines = response.iter_lines()
             assert json.loads(next(lines))["type"] == "frame"
@@ -157,7 +157,7 @@ def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes)
         for _ in range(2):
             slow = stack.enter_context(socket.create_connection((address.host, address.port)))
             slow.sendall(head + video[:1000])
-        with httpx.Client(base_url=server.url, timeout=30) as client:
+        with httpx.Client(base_url=server.url, timeout=60) as client:
             for caller in ("127.0.0.1", "10.9.9.9"):
                 headers = {"X-Forwarded-For": caller}
                 files = {"video": video}
@@ -168,7 +168,7 @@ def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes)
 def test_one_caller_leaves_a_place_to_others(
     server: Server, long_video: bytes, video: bytes
 ) -> None:
-    with httpx.Client(base_url=server.url, timeout=30) as client:
+    with httpx.Client(base_url=server.url, timeout=60) as client:
         with client.stream("POST", "/sequence", files={"video": long_video}) as answer:
             next(answer.iter_lines())
             assert "one caller's" in check_problem(post(client, video), 503)

@@ -16,8 +16,8 @@ from tests.conftest import Photo
 Client = TestClient | httpx.Client
 
 
-def eventually(reached: Callable[[], object], timeout_s: float = 20) -> None:
-    """Wait until a condition holds; fail if it does not in time."""
+def eventually(reached: Callable[[], object], timeout_s: float = 60) -> None:
+    """Wait until a condition holds; fail if it does not in time, on however busy a machine."""
     deadline = time.monotonic() + timeout_s
     while not reached():
         assert time.monotonic() < deadline, f"expected it within {timeout_s:g} s"

@@ -25,7 +25,7 @@ def test_overload_is_refused_at_once(narrow: Server) -> None:
 
     def ask(_: int) -> tuple[int, float, str | None]:
         started = time.perf_counter()
-        response = httpx.post(f"{narrow.url}/pose", files=files, timeout=30)
+        response = httpx.post(f"{narrow.url}/pose", files=files, timeout=60)
         seconds = time.perf_counter() - started
         return response.status_code, seconds, response.headers.get("retry-after")
 
@@ -40,5 +40,5 @@ def test_overload_is_refused_at_once(narrow: Server) -> None:
     assert len(refused) >= 10
     assert all(int(after or 0) >= 1 for _, after in refused)
     assert np.median([seconds for seconds, _ in refused]) < max(accepted)
-    with httpx.Client(base_url=narrow.url) as client:
+    with httpx.Client(base_url=narrow.url, timeout=60) as client:
         assert sample(client, "pose_rejected_total", reason="overloaded") == len(refused)
