@@ -47,6 +47,14 @@ WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 """A street with three walkers and two distant people."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files next to the root of the tests, which start the most.
+
+    None of them is to be left at the end, when the other processes have nothing to do.
+    """
+    items.sort(key=lambda item: len(item.path.parts))
+
+
 @pytest.fixture(scope="session")
 def anyio_backend() -> str:
     """Asynchronous tests run on asyncio, like the service."""
