@@ -207,8 +207,8 @@ def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -
 
 @pytest.fixture(scope="session")
 def server(index_path: Path) -> Iterator[Server]:
-    """A server process over the tiny index, ready."""
-    with running_server(index_path) as running:
+    """A server process over the tiny index, ready; it may work on a request for long."""
+    with running_server(index_path, POSE_REQUEST_TIMEOUT_S="300") as running:
         yield running
 
 
