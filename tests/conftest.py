@@ -47,6 +47,14 @@ WALKERS = ROOT / "tests" / "data" / "walkers.jpg"
 """A street with three walkers and two distant people."""
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files next to the root of the tests, which start the most.
+
+    None of them is to be left at the end, when the other processes have nothing to do.
+    """
+    items.sort(key=lambda item: len(item.path.parts))
+
+
 @pytest.fixture(scope="session")
 def anyio_backend() -> str:
     """Asynchronous tests run on asyncio, like the service."""
@@ -171,7 +179,7 @@ def start_server(
     return Server(f"http://127.0.0.1:{variables['PORT']}", process)
 
 
-def wait_until(url: str, status: int = 200, timeout_s: float = 20) -> httpx.Response:
+def wait_until(url: str, status: int = 200, timeout_s: float = 60) -> httpx.Response:
     """Poll until a URL answers with a status."""
     deadline = time.monotonic() + timeout_s
     while True:
@@ -199,8 +207,8 @@ def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -
 
 @pytest.fixture(scope="session")
 def server(index_path: Path) -> Iterator[Server]:
-    """A server process over the tiny index, ready."""
-    with running_server(index_path) as running:
+    """A server process over the tiny index, ready; it may work on a request for long."""
+    with running_server(index_path, POSE_REQUEST_TIMEOUT_S="300") as running:
         yield running
 
 

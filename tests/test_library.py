@@ -13,15 +13,20 @@ from tests.conftest import ROOT
 EXAMPLES = re.findall(r"^```python\n(.*?)^```", (ROOT / "docs/library.md").read_text(), re.M | re.S)
 
 _SIDE_EFFECTS = """
-import os, warnings
+import os, sys, warnings
 import cv2, faiss, numpy
 from PIL import Image
-before = dict(os.environ), list(warnings.filters), Image.MAX_IMAGE_PIXELS, cv2.getNumThreads()
+def settings():
+    shared = sys.getswitchinterval(), Image.MAX_IMAGE_PIXELS, cv2.getNumThreads()
+    return dict(os.environ), list(warnings.filters), *shared
+before = settings()
 faiss.omp_set_num_threads(3)
 from app import *
 import app.photograph
-after = dict(os.environ), list(warnings.filters), Image.MAX_IMAGE_PIXELS, cv2.getNumThreads()
-assert after == before, (before, after)
+from app.main import create_app
+from app.settings import Settings
+assert create_app(Settings()).openapi()
+assert settings() == before, (before, settings())
 import numpy as np
 from index.search import ExactNeighbours
 ExactNeighbours(np.eye(48, dtype=np.float32)).search(np.eye(48, dtype=np.float32)[:1], 1)

@@ -96,7 +96,8 @@ def resembles(shown: object, answered: object, path: str = "reply", *, whole: bo
 def test_the_reply_is_the_one_shown(page: Path, shipped_server: Server) -> None:
     shown = json.loads(re.findall(r"^```json\n(.*?)^```", page.read_text(), re.M | re.S)[0])
     with WALKERS.open("rb") as frame:
-        answer = httpx.post(f"{shipped_server.url}/pose", params={"n": 7}, files={"frame": frame})
+        files = {"frame": frame}
+        answer = httpx.post(f"{shipped_server.url}/pose", params={"n": 7}, files=files, timeout=60)
     resembles(shown, answer.json(), whole=page == API)
 
 

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.app.vision.encoded import encode
-from tests.conftest import Server, running_server
+from tests.conftest import Server
 from tests.support.expensive import (
     bmp,
     gif,
@@ -33,12 +33,10 @@ REST_MB = 300
 """What a request of the largest allowed images takes beside the service itself."""
 
 
-@pytest.fixture(scope="module")
-def patient(index_path: Path) -> Iterator[Server]:
-    with running_server(index_path, POSE_REQUEST_TIMEOUT_S="300") as running:
-        # From now on, there is a process that decodes.
-        post(running, "/pose", frame=encode(np.zeros((64, 64, 3), np.uint8), ".webp"))
-        yield running
+@pytest.fixture(autouse=True, scope="module")
+def _decodes(server: Server) -> None:
+    """From now on, there is a process that decodes."""
+    post(server, "/pose", frame=encode(np.zeros((64, 64, 3), np.uint8), ".webp"))
 
 
 def post(server: Server, path: str, **files: bytes) -> httpx.Response:
@@ -98,13 +96,13 @@ def boxes(count: int) -> bytes:
     ],
 )  # fmt: skip
 def test_memory_of_the_largest_images_is_bounded(
-    patient: Server, query: str, fields: dict, refused: tuple[int, str] | None
+    server: Server, query: str, fields: dict, refused: tuple[int, str] | None
 ) -> None:
     files = {name: make() for name, make in fields.items()}
     data = {"boxes": files.pop("boxes")} if "boxes" in files else None
-    use = Use(patient)
+    use = Use(server)
     answer = httpx.post(
-        f"{patient.url}/pose?n=1&silhouettes={query}", files=files, data=data, timeout=300
+        f"{server.url}/pose?n=1&silhouettes={query}", files=files, data=data, timeout=300
     )
     assert use.peak_mb() < REST_MB
     if refused:
@@ -117,19 +115,19 @@ def test_memory_of_the_largest_images_is_bounded(
     "make", [lambda: jpeg(1500), lambda: tiff_tile(6000)], ids=["scans", "tile"]
 )
 def test_an_expensive_file_is_bounded_wherever_it_is_sent(
-    patient: Server, make: Callable[[], bytes]
+    server: Server, make: Callable[[], bytes]
 ) -> None:
     data, sound = make(), encode(np.zeros((64, 64, 3), np.uint8), ".jpg")
-    use = Use(patient)
+    use = Use(server)
     answers = [
-        post(patient, "/pose?n=1", frame=data),
-        post(patient, "/pose?n=1", mask=data),
-        post(patient, "/pose?n=1", frame=sound, background=data),
-        post(patient, "/pose/overlay", frame=data),
-        post(patient, "/silhouette", frame=data),
-        post(patient, "/v1/vision/detection", image=data),
-        post(patient, "/cameras/a/frames", frame=data),
-        httpx.post(f"{patient.url}/pose", content=data, headers={"Content-Type": "image/x"}),
+        post(server, "/pose?n=1", frame=data),
+        post(server, "/pose?n=1", mask=data),
+        post(server, "/pose?n=1", frame=sound, background=data),
+        post(server, "/pose/overlay", frame=data),
+        post(server, "/silhouette", frame=data),
+        post(server, "/v1/vision/detection", image=data),
+        post(server, "/cameras/a/frames", frame=data),
+        httpx.post(f"{server.url}/pose", content=data, headers={"Content-Type": "image/x"}),
     ]
     assert {answer.status_code for answer in answers} == {400}
     assert use.peak_mb() <= 120
@@ -142,11 +140,11 @@ def test_an_expensive_file_is_bounded_wherever_it_is_sent(
      lambda: webp_animation(300), bmp],
     ids=["JPEG", "PNG", "TIFF", "GIF", "WebP", "BMP"],
 )  # fmt: skip
-def test_files_of_all_formats_are_bounded(patient: Server, make: Callable[[], bytes]) -> None:
+def test_files_of_all_formats_are_bounded(server: Server, make: Callable[[], bytes]) -> None:
     data = make()
-    use = Use(patient)
+    use = Use(server)
     answer = httpx.post(
-        f"{patient.url}/pose", files={"frame": data}, data={"boxes": "[]"}, timeout=60
+        f"{server.url}/pose", files={"frame": data}, data={"boxes": "[]"}, timeout=60
     )
     assert answer.status_code in (200, 400, 413)
     assert use.peak_mb() <= 350

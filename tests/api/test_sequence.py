@@ -3,6 +3,7 @@
 import json
 import socket
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -13,14 +14,14 @@ from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceResponse
 from tests.conftest import Photo, Server, Serving, running_server
-from tests.support.service import check_problem, eventually, sample
+from tests.support.service import check_problem, eventually, sample, slow_frame
 from tests.support.videos import numbered_frames, write_video
 
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
-    """Six frames of a person who stands still, at 10 fps."""
-    return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 6)
+    """Four frames of a person who stands still, at 10 fps."""
+    return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 4)
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +53,12 @@ class TestLines:
 
     def test_every_frame_has_a_line(self, client: TestClient, video: bytes) -> None:
         frames, end = parse(post(client, video, n=2))
-        assert [frame.video_frame for frame in frames] == list(range(6))
-        assert [frame.frame_index for frame in frames] == list(range(6))
-        assert [frame.timestamp for frame in frames] == [pytest.approx(n / 10) for n in range(6)]
+        assert [frame.video_frame for frame in frames] == list(range(4))
+        assert [frame.frame_index for frame in frames] == list(range(4))
+        assert [frame.timestamp for frame in frames] == [pytest.approx(n / 10) for n in range(4)]
         assert frames[0].image.width == 320
-        assert (end.reason, end.frames) == ("complete", 6)
-        assert "6 frames" in end.detail
+        assert (end.reason, end.frames) == ("complete", 4)
+        assert "4 frames" in end.detail
         listed = {person.track_id for frame in frames for person in frame.persons}
         assert {track.track_id for track in end.tracks} == listed
         assert end.events == [event for frame in frames for event in frame.events]
@@ -117,7 +118,8 @@ def hang_up_after_sending(url: str, video: bytes) -> None:
 def narrow(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server for one video at a time, whose log holds no error; the last test ends it."""
     log = tmp_path_factory.mktemp("narrow") / "log"
-    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1") as running:
+    patient = {"POSE_MAX_WAIT_S": "60", "POSE_REQUEST_TIMEOUT_S": "60"}
+    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1", **patient) as running:
         yield running
     assert [line for line in log.read_text().splitlines() if '"error"' in line] == []
 
@@ -127,7 +129,7 @@ def test_lines_arrive_while_the_video_is_worked_on(
 ) -> None:
     """One more is refused meanwhile, frames are answered, and a hang-up ends it all."""
     video = {"video": long_video}
-    with httpx.Client(base_url=narrow.url, timeout=30) as client:
+    with httpx.Client(base_url=narrow.url, timeout=60) as client:
         with client.stream("POST", "/sequence", files=video) as response:
             lines = response.iter_lines()
             assert json.loads(next(lines))["type"] == "frame"
@@ -155,7 +157,7 @@ def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes)
         for _ in range(2):
             slow = stack.enter_context(socket.create_connection((address.host, address.port)))
             slow.sendall(head + video[:1000])
-        with httpx.Client(base_url=server.url, timeout=30) as client:
+        with httpx.Client(base_url=server.url, timeout=60) as client:
             for caller in ("127.0.0.1", "10.9.9.9"):
                 headers = {"X-Forwarded-For": caller}
                 files = {"video": video}
@@ -166,7 +168,7 @@ def test_a_video_takes_a_place_once_it_has_arrived(server: Server, video: bytes)
 def test_one_caller_leaves_a_place_to_others(
     server: Server, long_video: bytes, video: bytes
 ) -> None:
-    with httpx.Client(base_url=server.url, timeout=30) as client:
+    with httpx.Client(base_url=server.url, timeout=60) as client:
         with client.stream("POST", "/sequence", files={"video": long_video}) as answer:
             next(answer.iter_lines())
             assert "one caller's" in check_problem(post(client, video), 503)
@@ -176,13 +178,28 @@ def test_one_caller_leaves_a_place_to_others(
         eventually(lambda: sample(client, "pose_sequences") == 0)
 
 
-def test_sigterm_ends_a_video_with_a_line(narrow: Server, long_video: bytes) -> None:
-    video = {"video": long_video}
-    with httpx.stream("POST", f"{narrow.url}/sequence", files=video, timeout=30) as response:
-        lines = response.iter_lines()
-        assert json.loads(next(lines))["type"] == "frame"
-        narrow.process.terminate()
-        *_, last = lines
-        end = SequenceEnd.model_validate_json(last)
-        assert end.reason == "shutdown"
-        assert 0 < end.frames < 1000
+def test_sigterm_ends_a_video_with_a_line_and_finishes_all_frames(
+    narrow: Server, long_video: bytes
+) -> None:
+    files = {"frame": slow_frame()}
+    boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(3)])
+
+    def ask(_: int) -> int:
+        return httpx.post(
+            f"{narrow.url}/pose", files=files, data={"boxes": boxes}, timeout=60
+        ).status_code
+
+    with httpx.Client(base_url=narrow.url, timeout=60) as client, ThreadPoolExecutor(3) as threads:
+        with client.stream("POST", "/sequence", files={"video": long_video}) as response:
+            lines = response.iter_lines()
+            assert json.loads(next(lines))["type"] == "frame"
+            answers = [threads.submit(ask, number) for number in range(3)]
+            eventually(
+                lambda: sample(client, "pose_in_flight") == 4 or any(one.done() for one in answers)
+            )
+            narrow.process.terminate()
+            *_, last = lines
+        assert [answer.result() for answer in answers] == [200, 200, 200]
+    end = SequenceEnd.model_validate_json(last)
+    assert end.reason == "shutdown"
+    assert 0 < end.frames < 1000

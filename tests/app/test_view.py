@@ -70,11 +70,12 @@ def watch(
     view: View, pictures: Iterable[tuple[float, Grey]], begin: float = 0.0, fps: float = 2.0
 ) -> list[tuple[str, float]]:
     """Changes of a view that shows pictures for some seconds each, with a sensor's noise."""
-    rng = np.random.default_rng(1)
+    noises = np.random.default_rng(1).normal(0, 1, (8, ROWS, COLUMNS))
     changes, time = [], begin
     for seconds, picture in pictures:
-        for _ in range(round(seconds * fps)):
-            noisy = np.clip(picture + rng.normal(0, 1, picture.shape), 0, 255)
+        rows, columns = picture.shape
+        for number in range(round(seconds * fps)):
+            noisy = np.clip(picture + noises[number % 8, :rows, :columns], 0, 255)
             if change := view.update(time, noisy.astype(np.uint8)):
                 changes.append((change, time))
             time += 1 / fps

@@ -50,7 +50,7 @@ class Proxy:
 
     def client(self) -> httpx.Client:
         """A client of the proxy."""
-        return httpx.Client(base_url=self.url, verify=self.context, timeout=30)
+        return httpx.Client(base_url=self.url, verify=self.context, timeout=60)
 
 
 def certificate(folder: Path) -> tuple[Path, Path]:
@@ -72,7 +72,7 @@ def running(command: list[str], url: str, context: ssl.SSLContext) -> Iterator[N
     environment = {**os.environ, "XDG_DATA_HOME": "/tmp", "XDG_CONFIG_HOME": "/tmp"}
     process = subprocess.Popen(command, env=environment)
     try:
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while True:
             try:
                 httpx.get(f"{url}/readyz", verify=context)
@@ -84,7 +84,7 @@ def running(command: list[str], url: str, context: ssl.SSLContext) -> Iterator[N
         yield
     finally:
         process.terminate()
-        process.wait(timeout=10)
+        process.wait(timeout=60)
 
 
 def replaced(text: str, *changes: tuple[str, str]) -> str:
@@ -158,7 +158,7 @@ def test_a_frame_is_answered_as_without_it(
     there = client.post(
         "/pose", files=photo.files, headers={"Origin": str(client.base_url).rstrip("/")}
     )
-    here = httpx.post(f"{server.url}/pose", files=photo.files)
+    here = httpx.post(f"{server.url}/pose", files=photo.files, timeout=60)
     assert there.status_code == 200
     assert there.json()["persons"] == here.json()["persons"]
     assert client.get("/metrics").status_code == 404
@@ -182,7 +182,7 @@ class Echo(BaseHTTPRequestHandler):
 @pytest.mark.parametrize("name", PROXIES)
 def test_a_client_cannot_pose_as_another(name: str, tmp_path: Path) -> None:
     with ThreadingHTTPServer(("127.0.0.1", 0), Echo) as backend:
-        Thread(target=backend.serve_forever, daemon=True).start()
+        Thread(target=backend.serve_forever, args=(0.01,), daemon=True).start()
         with proxied(name, f"127.0.0.1:{backend.server_port}", tmp_path) as proxy:
             forged = {"X-Forwarded-For": "203.0.113.9", "X-API-Key": "first"}
             with proxy.client() as client:

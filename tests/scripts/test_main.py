@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from scripts.__main__ import COMMANDS
+from scripts.__main__ import COMMANDS, main
 from scripts.evaluate import EXPERIMENTS
 from tests.conftest import ROOT
 from tests.support.programs import run
@@ -40,11 +40,12 @@ def test_every_command_is_there(name: str) -> None:
     inspect.signature(imported.main).bind([])
 
 
-def test_without_data(tmp_path: Path) -> None:
-    ended = RUN("evaluate", "real", "--shared", tmp_path)
-    assert ended.returncode == 1
-    assert ended.stderr.splitlines()[-1].startswith("evaluate: ")
-    assert "Traceback" not in ended.stderr
+def test_without_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", [*sys.argv])
+    assert main(["evaluate", "people", "--shared", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.startswith("evaluate: ")
 
 
 def test_the_options_of_all_experiments_get_along() -> None:

@@ -38,7 +38,7 @@ class Broker:
         self._process = subprocess.Popen(
             [MOSQUITTO, "-c", str(self._config)], stderr=subprocess.DEVNULL
         )
-        for _ in range(500):
+        for _ in range(3000):
             try:
                 socket.create_connection(("127.0.0.1", self.port)).close()
                 return
@@ -54,7 +54,7 @@ class Broker:
     def stop(self, number: int = signal.SIGTERM) -> None:
         """End it; asked to, it writes to its file what it holds for others."""
         self._process.send_signal(number)
-        self._process.wait(timeout=20)
+        self._process.wait(timeout=60)
 
     def _write_rules(self, refused: tuple[str, ...]) -> None:
         lines = ["topic readwrite #", "user bridge", *(f"topic deny {topic}" for topic in refused)]

@@ -5,7 +5,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+import cv2
 import httpx
+import numpy as np
 from fastapi.testclient import TestClient
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -14,12 +16,19 @@ from tests.conftest import Photo
 Client = TestClient | httpx.Client
 
 
-def eventually(reached: Callable[[], object], timeout_s: float = 20) -> None:
-    """Wait until a condition holds; fail if it does not in time."""
+def eventually(reached: Callable[[], object], timeout_s: float = 60) -> None:
+    """Wait until a condition holds; fail if it does not in time, on however busy a machine."""
     deadline = time.monotonic() + timeout_s
     while not reached():
         assert time.monotonic() < deadline, f"expected it within {timeout_s:g} s"
         time.sleep(0.005)
+
+
+def slow_frame() -> bytes:
+    """A large frame full of edges, which takes long to search for people."""
+    coarse = np.random.default_rng(0).integers(0, 255, (90, 160, 3), np.uint8)
+    frame = cv2.resize(coarse, (1280, 720), interpolation=cv2.INTER_NEAREST)
+    return cv2.imencode(".jpg", frame)[1].tobytes()
 
 
 def check_problem(response: Any, status: int, field: str | None = None) -> str:

@@ -111,7 +111,8 @@ def serving(fake: Webhook, port: int = 0) -> Iterator[str]:
             pass
 
     with ThreadingHTTPServer(("127.0.0.1", port or free_ports(1)[0]), Handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+        # By default, it would notice its end after half a second.
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         yield f"127.0.0.1:{server.server_port}"
         server.shutdown()
 

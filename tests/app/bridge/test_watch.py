@@ -68,7 +68,7 @@ class Running:
 
     def end(self) -> None:
         self._signals.append(signal.SIGTERM)
-        self._thread.join(20)
+        self._thread.join(60)
         assert not self._thread.is_alive()
 
 

@@ -92,7 +92,7 @@ def test_what_is_printable_stays(text: str, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     "parts",
     [
-        [b"HTTP/1.1 200 OK\r\n"] + [b"X-Wait: 1\r\n"] * 90,
+        [b"HTTP/1.1 200 OK\r\n"] + [b"X-Wait: 1\r\n"] * 1000,
         [b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n"] + [b"x"] * 1000,
         [b"HTTP/1.1 100 Continue\r\n\r\n"] * 1000,
         [b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"] + [b"1\r\nx\r\n"] * 1000,
@@ -112,7 +112,7 @@ def test_an_answer_that_trickles_ends_at_the_deadline(
         began = time.monotonic()
         with pytest.raises(UnavailableError, match=r"took too long|timed out"):
             hook.send(message())
-        assert time.monotonic() - began < 3
+        assert time.monotonic() - began < 20
 
 
 def test_of_an_endless_answer_only_the_beginning_is_read() -> None:

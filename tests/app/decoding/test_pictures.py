@@ -77,7 +77,7 @@ def sound() -> dict[str, bytes]:
         "few bits": tiff(bytes(range(256)) * 5, 64, 40, bits=4),
         "16 bits": encode(deep, ".tiff"),
         "colours": saved("TIFF", np.dstack([rgba]), compression="tiff_lzw"),
-        "animation": webp_animation(2),
+        "animation": saved("WEBP", rgb, save_all=True, append_images=[Image.fromarray(rgb[::-1])]),
         "pictures": gif(3),
         "a circle": tiff_circle(),
         "broken": saved("TIFF", rgb)[:100],

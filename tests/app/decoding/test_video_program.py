@@ -106,7 +106,7 @@ def test_it_decodes_within_its_confinement(tmp_path: Path) -> None:
     video = write_video(tmp_path / "v.mkv", numbered_frames(3))
     (tmp_path / "v.mkv").write_bytes(with_subtitles(video, tmp_path))
     with start(tmp_path / "v.mkv") as process:
-        out, errors = process.communicate(timeout=20)
+        out, errors = process.communicate(timeout=60)
     assert (process.returncode, errors) == (0, b"")
     assert out.count(b'"number"') == 3 and out.endswith(b'{"end": null, "is_too_large": false}')
 
@@ -142,7 +142,7 @@ def test_code_of_a_hostile_file_can_reach_nothing(tmp_path: Path) -> None:
     file = tmp_path / "v"
     file.write_bytes(b"data")
     with start(file, ATTEMPTS.replace("SOME_FILE", str(file))) as process:
-        out, errors = process.communicate(timeout=20)
+        out, errors = process.communicate(timeout=60)
     assert (out, errors) == (b"decoded 4\n", b"")
     assert file.exists()
 
@@ -161,6 +161,6 @@ def test_without_seccomp_nothing_can_be_opened_either(tmp_path: Path) -> None:
     file = tmp_path / "v"
     file.write_bytes(b"data")
     with start(file, "\n".join([*lines, "video_program.main()"])) as process:
-        out, errors = process.communicate(timeout=20)
+        out, errors = process.communicate(timeout=60)
     assert b"without seccomp: no seccomp" in errors
     assert out == b"decoded 4\n"

@@ -77,7 +77,7 @@ class TestFrames:
         executor = executor_of(1)
         release, done = threading.Event(), []
         async with anyio.create_task_group() as tasks:
-            tasks.start_soon(run, executor, lambda _: release.wait(10))
+            tasks.start_soon(run, executor, lambda _: release.wait(60))
             await anyio.wait_all_tasks_blocked()
             with pytest.raises(ClientGoneError):
                 await run(executor, lambda _: done.append(1), lambda: anyio.sleep(0.02))
@@ -87,11 +87,17 @@ class TestFrames:
 
     async def test_a_frame_that_has_begun_is_finished(self) -> None:
         """Its client may only have closed its sending side."""
-        executor = executor_of(1)
-        assert await run(executor, lambda _: time.sleep(0.1) or 7, lambda: anyio.sleep(0.02)) == 7
+        begun = threading.Event()
+
+        def work(_: Job) -> int:
+            begun.set()
+            time.sleep(0.1)
+            return 7
+
+        assert await run(executor_of(1), work, lambda: to_thread.run_sync(begun.wait)) == 7
 
     async def test_the_deadline_covers_work_and_waiting(self) -> None:
-        executor = executor_of(1, timeout_s=0.1)
+        executor = executor_of(1, timeout_s=0.4)
         outcomes = []
 
         async def frame() -> None:
@@ -99,7 +105,7 @@ class TestFrames:
                 await run(executor, until_cancelled)
             outcomes.append(type(caught.value))
 
-        with anyio.fail_after(10):
+        with anyio.fail_after(60):
             async with anyio.create_task_group() as tasks:
                 tasks.start_soon(frame)
                 tasks.start_soon(frame)
@@ -122,9 +128,9 @@ class TestFrames:
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(run, executor, work)
-            await to_thread.run_sync(begun.wait, 10)
+            await to_thread.run_sync(begun.wait, 60)
             tasks.cancel_scope.cancel()
-        assert await to_thread.run_sync(cancelled.wait, 10)
+        assert await to_thread.run_sync(cancelled.wait, 60)
         await to_thread.run_sync(executor.shut_down)
         gc.collect()
         assert executor.queue.in_flight == 0
@@ -151,7 +157,7 @@ class TestFrames:
             await frame(picture)
             del picture
             # The thread lets go of its work only after the answer is there.
-            with anyio.move_on_after(5):
+            with anyio.move_on_after(60):
                 while kept() is not None:
                     await anyio.sleep(0.01)
             assert kept() is None
@@ -192,10 +198,10 @@ class TestParts:
 
         def work(name: str) -> None:
             begun.put(name)
-            assert end[name].wait(10)
+            assert end[name].wait(60)
 
         async def next_begun() -> str:
-            return await to_thread.run_sync(lambda: begun.get(timeout=10))
+            return await to_thread.run_sync(lambda: begun.get(timeout=60))
 
         async with anyio.create_task_group() as tasks:
             tasks.start_soon(run, executor, lambda _: executor.map(work, crowd))
@@ -207,7 +213,7 @@ class TestParts:
 
     async def test_frames_and_parts_inherit_the_request_id(self) -> None:
         executor = executor_of(2)
-        meeting = threading.Barrier(2, timeout=10)  # Needs two threads.
+        meeting = threading.Barrier(2, timeout=60)  # Needs two threads.
 
         def part(_: int) -> str:
             meeting.wait()
@@ -237,7 +243,7 @@ async def test_shutting_down_cancels_running_and_drops_waiting_frames() -> None:
         for _ in range(3):
             tasks.start_soon(frame)
         for _ in range(2):
-            assert await to_thread.run_sync(lambda: begun.acquire(timeout=10))
+            assert await to_thread.run_sync(lambda: begun.acquire(timeout=60))
         executor.shut_down()
     assert len(outcomes) == 3
     assert set(outcomes) == {"ClientGoneError", "ShutdownError"}

@@ -1,7 +1,6 @@
 """Cores, priorities and settings of the process."""
 
 import os
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +9,6 @@ import pytest
 
 from app.scheduling import process
 from app.settings import Settings
-from tests.support.programs import output_of
 
 Host = Callable[[dict[str, str]], None]
 
@@ -76,16 +74,6 @@ def test_affinity_limits_the_cores(host: Host, monkeypatch: pytest.MonkeyPatch) 
     assert process.available_cores() == 3
 
 
-EXPORT = """
-import sys, cv2
-before = sys.getswitchinterval(), cv2.getNumThreads()
-from app.main import create_app
-from app.settings import Settings
-assert create_app(Settings()).openapi()
-assert (sys.getswitchinterval(), cv2.getNumThreads()) == before
-"""
-
-
 def test_worker_threads_have_a_lower_priority() -> None:
     priorities: list[int] = []
 
@@ -99,7 +87,3 @@ def test_worker_threads_have_a_lower_priority() -> None:
     worker.join()
     own = os.getpriority(os.PRIO_PROCESS, os.getpid())
     assert priorities == [min(19, own + 5)] * 2
-
-
-def test_importing_the_application_changes_no_process_settings() -> None:
-    output_of(sys.executable, "-c", EXPORT)

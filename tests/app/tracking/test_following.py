@@ -285,8 +285,8 @@ def test_of_a_still_empty_scene_no_jpeg_is_decoded_and_the_answers_are_the_same(
     by_file, by_pixels = CameraSession(drawn), CameraSession(drawn)
     for step in range(90):
         people = [(0, 10 * (step % 20))] if 20 <= step % 50 < 30 else []
-        pixels = pictures.decode(draw(*people, seed=step))
-        file = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
+        drawn_people = draw(*people, seed=step)
+        file = cv2.imencode(".jpg", drawn_people, [cv2.IMWRITE_JPEG_QUALITY, 95])[1].tobytes()
         if step == 18:
             file = file[: len(file) * 2 // 3]
         pixels = decode(Upload(file), Job()).frame
