@@ -20,7 +20,6 @@ from app.estimation.results import (
     Facing,
     Matched,
     Person,
-    ProjectedHypothesis,
 )
 from app.estimation.upload import DecodedUpload, Upload, UploadDecoder, check_bodies
 from app.networks.dense import shipped_network
@@ -301,7 +300,7 @@ def fit_poses(
     chosen = found.hypotheses[:n]
     placed = place_skeletons(
         np.array([one.points_3d for one in chosen]),
-        normalised.points_in_frame(np.array([one.points_normalised for one in chosen])),
+        normalised.points_in_frame(np.array([one.points_2d for one in chosen])),
         None if landmarks is None else person.landmarks,
         camera,
     )
@@ -310,7 +309,7 @@ def fit_poses(
         hips=placed.pelvis[0],
         facing=Facing(found.front_probability, "none" if landmarks is None else "image"),
         posture=_posture(person, found, feet_visible=normalised.feet_visible),
-        hypotheses=_projected(index, person, chosen, placed),
+        hypotheses=_placed(person, chosen, placed),
     )
 
 
@@ -324,23 +323,19 @@ def _posture(person: Person, found: Match, *, feet_visible: bool) -> EstimatedPo
     return likeliest_posture(shares, person.shown, person.shown * best)
 
 
-def _projected(
-    index: PoseIndex, person: Person, chosen: Sequence[PoseHypothesis], placed: PlacedSkeletons
-) -> tuple[ProjectedHypothesis, ...]:
-    """The hypotheses with their labels and places; no confidence exceeds that of the person."""
-    projected = []
-    for row, one in enumerate(chosen):
-        label = index.label(one.entry_id, mirrored=one.mirrored)
-        confidence = person.shown * one.confidence
-        fields = vars(one) | {"confidence": confidence, "points_3d": placed.points_3d[row]}
-        projected.append(
-            ProjectedHypothesis(
-                **fields,
-                label=replace(label, roll_deg=one.tilt_deg),
-                points_2d=placed.points_2d[row],
-            )
+def _placed(
+    person: Person, chosen: Sequence[PoseHypothesis], placed: PlacedSkeletons
+) -> tuple[PoseHypothesis, ...]:
+    """The hypotheses at their places; no confidence exceeds that of the person."""
+    return tuple(
+        replace(
+            one,
+            confidence=person.shown * one.confidence,
+            points_3d=placed.points_3d[row],
+            points_2d=placed.points_2d[row],
         )
-    return tuple(projected)
+        for row, one in enumerate(chosen)
+    )
 
 
 def network_threads(cores: int, concurrency: int) -> tuple[int, int]:

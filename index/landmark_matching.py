@@ -102,7 +102,7 @@ def moved_along(found: Match, landmarks: NormalisedLandmarks, roll_deg: float) -
     points_3d, placed = fit_to_landmarks(
         landmarks,
         rotate_clockwise(np.array([one.points_3d for one in own]), roll_deg),
-        np.array([one.points_normalised for one in own]),
+        np.array([one.points_2d for one in own]),
     )
     points_3d = rotate_clockwise(points_3d, -roll_deg)
     fitted = iter(zip(points_3d, placed, strict=True))
@@ -112,7 +112,7 @@ def moved_along(found: Match, landmarks: NormalisedLandmarks, roll_deg: float) -
             points = points_3d[0] + one.points_3d - first.points_3d, placed[0]
         else:
             points = next(fitted)
-        moved.append(replace(one, points_3d=points[0], points_normalised=points[1]))
+        moved.append(replace(one, points_3d=points[0], points_2d=points[1]))
     return replace(found, hypotheses=moved)
 
 

@@ -26,7 +26,7 @@ from index.posture import (
     vote_posture,
 )
 from index.skeleton import mean_joint_distance, rotate_clockwise, wrap_degrees
-from index.store import PoseIndex
+from index.store import Label, PoseIndex
 
 DEFAULT_HYPOTHESES = 7
 """Hypotheses returned unless a caller asks for another number. The confidence is fitted for this
@@ -61,13 +61,16 @@ class PoseHypothesis:
         Euclidean distance from the query's descriptor to the interpolated one of these entries.
     confidence : float
         Probability that the hypothesis is right; see :mod:`index.confidence`.
+    label : Label
+        That of the entry; the roll is that of its camera in the picture of one that is not rolled.
     points_3d : (24, 3) float64 array
-        Camera axes, metres, origin at the pelvis; rows are ``POINT_NAMES``.
-    points_normalised : (24, 2) float64 array
-        Pixels of the normalised frame.
-    rotation_deg, tilt_deg : float
+        Axes of the line of sight, metres, origin at the pelvis; rows are ``POINT_NAMES``. Once
+        placed in a photograph, in the camera's axes and the person's size.
+    points_2d : (24, 2) float64 array
+        Pixels of the normalised frame; once placed, of the photograph.
+    rotation_deg : float
         In-plane rotation of the entry, clockwise, in the picture of a camera that is not rolled,
-        already applied to the points; and the same plus the roll of the entry's camera.
+        already applied to the points.
     distance : float
         The silhouette distance, shortened or lengthened by the agreement with landmarks or, without
         landmarks, lengthened if a network finds the joints unlikely; see
@@ -94,11 +97,11 @@ class PoseHypothesis:
     mirrored: bool
     silhouette_distance: float
     confidence: float
+    label: Label
     points_3d: NDArray[np.float64]
-    points_normalised: NDArray[np.float64]
+    points_2d: NDArray[np.float64]
     posture: PostureName = "standing"
     rotation_deg: float = 0.0
-    tilt_deg: float = 0.0
     distance: float = 0.0
     adjusted_m: float = 0.0
     weight: float | None = None
@@ -180,16 +183,24 @@ class Query:
             "mirrored": entries.mirrored,
             "silhouette_distance": modes.distances,
             "points_3d": points_3d,
-            "points_normalised": modes.points_normalised,
+            "points_2d": modes.points_normalised,
             "rotation_deg": rotation_deg,
-            "tilt_deg": tilt_deg,
             "adjusted_m": mean_joint_distance(modes.points_3d, entries.points_3d),
         }
         rows = zip(*(c.tolist() if c.ndim == 1 else c for c in columns.values()), strict=True)
         postures = self._postures(entries.entry_ids, points_3d, tilt_deg)
+        labels = [
+            replace(self.index.label(entry_id, mirrored=mirrored), roll_deg=roll_deg)
+            for entry_id, mirrored, roll_deg in zip(
+                entries.entry_ids.tolist(),
+                entries.mirrored.tolist(),
+                tilt_deg.tolist(),
+                strict=True,
+            )
+        ]
         return [
-            PoseHypothesis(posture=posture, **dict(zip(columns, row, strict=True)))
-            for posture, row in zip(postures, rows, strict=True)
+            PoseHypothesis(posture=posture, label=label, **dict(zip(columns, row, strict=True)))
+            for posture, label, row in zip(postures, labels, rows, strict=True)
         ]
 
     def _postures(

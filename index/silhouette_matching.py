@@ -91,8 +91,8 @@ class _SilhouetteQuery(Query):
         found = self._at_modes(candidates, modes, distances)
         voters = likeliest_first(found)
         best, others = voters[0], voters[: DEFAULT_HYPOTHESES - 1]
-        turned = exchange_sides(best.points_normalised)
-        apart = mean_joint_distance(np.array([one.points_normalised for one in others]), turned)
+        turned = exchange_sides(best.points_2d)
+        apart = mean_joint_distance(np.array([one.points_2d for one in others]), turned)
         if apart.min() < RIGHT_BELOW_PX:
             return voters, voters
         row = next(row for row, one in enumerate(found) if one is best)
@@ -108,7 +108,7 @@ class _SilhouetteQuery(Query):
         shown = replace(
             best,
             points_3d=reversed_in_depth(best.points_3d),
-            points_normalised=turned,
+            points_2d=turned,
             distance=max(best.distance, float(self.ranking.distances(modes.append(twin))[-1])),
             confidence=min(best.confidence, float(self.ranking.calibration.probability(features))),
             twin=True,

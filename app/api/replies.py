@@ -14,11 +14,12 @@ from app.api import schemas, tracking_schemas
 from app.api.schemas import METRE_DIGITS, PIXEL_DIGITS
 from app.cameras import CameraSummary
 from app.configuration import EVENT_NAMES, Zone
-from app.estimation.results import Estimate, Person, ProjectedHypothesis
+from app.estimation.results import Estimate, Person
 from app.settings import Method
 from app.tracking.results import Event, SmoothedPose, TrackedFrame, TrackedPerson
 from app.tracking.zones import crosses_itself, is_outside
 from app.vision.people import COCO_NAMES, LANDMARK_NAMES, Landmarks, Silhouette
+from index.matching import PoseHypothesis
 from index.skeleton import KEYPOINT_SETS, NATIVE, KeypointSet
 from index.store import Entry, PoseIndex
 
@@ -238,7 +239,7 @@ def _observed(
     ]
 
 
-def _hypothesis(hypothesis: ProjectedHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
+def _hypothesis(hypothesis: PoseHypothesis, rank: int, form: ReplyForm) -> schemas.Hypothesis:
     # The model is not validated: its hundreds of points would add a third to the time that writing
     # an answer takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(

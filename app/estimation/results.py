@@ -18,7 +18,6 @@ from app.vision.person_reader import Seen
 from app.vision.silhouettes import DrawnSilhouette
 from index.matching import Match, PoseHypothesis
 from index.skeleton import wrap_degrees
-from index.store import Label
 
 Source = Literal["detector", "mask", "boxes", "background", "track"]
 """How a person was found: by the detector, in the caller's mask or boxes, as a difference from the
@@ -38,28 +37,6 @@ class Facing:
 
     front_probability: float
     evidence: FacingSource
-
-
-@dataclass(frozen=True, kw_only=True)
-class ProjectedHypothesis(PoseHypothesis):
-    """A hypothesis with the label of its entry, placed in front of the camera.
-
-    ``points_3d`` are in the camera's axes and in the person's size, ``points_2d`` ``(24, 2)``
-    pixels of the frame.
-    """
-
-    label: Label
-    points_2d: NDArray[np.float64]
-
-    def as_sent(self, rectification: Rectification) -> Self:
-        """The same in pixels and axes of the frame as it was sent."""
-        roll_deg = float(wrap_degrees(self.label.roll_deg - rectification.roll_deg))
-        return replace(
-            self,
-            label=replace(self.label, roll_deg=roll_deg) if rectification.quarters else self.label,
-            points_2d=rectification.points_sent(self.points_2d),
-            points_3d=rectification.axes_sent(self.points_3d),
-        )
 
 
 @dataclass(frozen=True)
@@ -104,7 +81,7 @@ class Person:
     hips: NDArray[np.float64] | None = None
     facing: Facing | None = None
     posture: EstimatedPosture | None = None
-    hypotheses: tuple[ProjectedHypothesis, ...] = ()
+    hypotheses: tuple[PoseHypothesis, ...] = ()
 
     @property
     def shown(self) -> float:
@@ -128,7 +105,7 @@ class Person:
         return self.silhouette is None or self.shown < 0.5
 
     @property
-    def voters(self) -> list[ProjectedHypothesis]:
+    def voters(self) -> list[PoseHypothesis]:
         """Hypotheses that decide posture, facing and action over time: all but the twin."""
         return [one for one in self.hypotheses if not one.twin]
 
@@ -150,8 +127,19 @@ class Person:
             silhouette=self.silhouette and rectification.silhouette_sent(self.silhouette),
             landmarks=landmarks,
             hips=None if self.hips is None else rectification.axes_sent(self.hips),
-            hypotheses=tuple(one.as_sent(rectification) for one in self.hypotheses),
+            hypotheses=tuple(_as_sent(one, rectification) for one in self.hypotheses),
         )
+
+
+def _as_sent(one: PoseHypothesis, rectification: Rectification) -> PoseHypothesis:
+    """A hypothesis in pixels and axes of the frame as it was sent."""
+    roll_deg = float(wrap_degrees(one.label.roll_deg - rectification.roll_deg))
+    return replace(
+        one,
+        label=replace(one.label, roll_deg=roll_deg) if rectification.quarters else one.label,
+        points_2d=rectification.points_sent(one.points_2d),
+        points_3d=rectification.axes_sent(one.points_3d),
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

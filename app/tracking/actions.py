@@ -18,13 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import MIN_PROBABILITY, EstimatedPosture
-from app.estimation.results import Person, ProjectedHypothesis
+from app.estimation.results import Person
 from app.networks.probabilities import softmax
 from app.networks.shipped import arrays_of
 from app.tracking.motion import ground_path
 from app.tracking.results import RecognisedAction
 from app.tracking.seen_body import SeenBody
 from app.vision.blazepose import LANDMARK_PX
+from index.matching import PoseHypothesis
 from index.posture import ON_THE_GROUND, PostureName, camera_up
 from index.skeleton import JOINT_NAMES, JOINTS, wrap_degrees
 
@@ -97,7 +98,7 @@ class ActionModel:
         odds = odds + self.vote_weight * np.log(np.maximum(votes, MIN_VOTE))
         return softmax(odds)
 
-    def votes(self, hypotheses: Sequence[ProjectedHypothesis]) -> NDArray[np.float64]:
+    def votes(self, hypotheses: Sequence[PoseHypothesis]) -> NDArray[np.float64]:
         """Share of each action ``(A,)`` in the confidence of one frame's hypotheses."""
         votes = np.zeros(len(self.actions))
         total = 1e-9
@@ -151,9 +152,7 @@ class ActionRecogniser:
             self._last_at, self._last_result = timestamp, self._recognise(person, posture)
         return self._last_result
 
-    def _add(
-        self, timestamp: float, body: SeenBody, hypotheses: Sequence[ProjectedHypothesis]
-    ) -> None:
+    def _add(self, timestamp: float, body: SeenBody, hypotheses: Sequence[PoseHypothesis]) -> None:
         elapsed = timestamp - self._window[-1][0] if self._window else math.inf
         if elapsed > 1.0:
             self._window.clear()

@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from app.estimation.results import Person, ProjectedHypothesis
+from app.estimation.results import Person
 from app.networks.probabilities import log_odds, probability_of, softmax
 from app.tracking.motion import REFERENCE_HZ, Heading, Motion, posture_in_motion
 from app.tracking.results import SmoothedPose
 from app.tracking.seen_body import MAX_BODIES, clarity_of, log_likelihoods
+from index.matching import PoseHypothesis
 from index.posture import UPRIGHT, azimuth_deg, vote_posture
 from index.skeleton import bone_lengths, mean_joint_distance, side_rows, with_bone_lengths
 
@@ -87,7 +88,7 @@ class PoseSmoother:
     def _add_states(
         self,
         person: Person,
-        hypotheses: Sequence[ProjectedHypothesis],
+        hypotheses: Sequence[PoseHypothesis],
         heading: Heading,
         timestamp: float,
     ) -> None:
@@ -127,7 +128,7 @@ class PoseSmoother:
     def _pose(
         self,
         person: Person,
-        hypotheses: Sequence[ProjectedHypothesis],
+        hypotheses: Sequence[PoseHypothesis],
         motion: Motion,
     ) -> SmoothedPose:
         """The pose at the newest frame."""

@@ -166,7 +166,7 @@ def by_paper(index: PoseIndex, queries: Queries) -> Figures:
         zip(queries.silhouettes, queries.roll_deg.tolist(), strict=True)
     ):
         found = match_nearest(index, silhouette, DEFAULT_HYPOTHESES, roll_deg=roll_deg).hypotheses
-        points_2d = np.array([one.points_normalised[:JOINTS] for one in found])
+        points_2d = np.array([one.points_2d[:JOINTS] for one in found])
         points_3d = np.array([one.points_3d[:JOINTS] for one in found])
         apart_2d, apart_3d = points_2d - queries.joints_2d[row], points_3d - queries.joints_3d[row]
         error_px[row] = np.linalg.norm(apart_2d, axis=-1).mean(axis=-1)

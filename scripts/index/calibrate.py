@@ -130,8 +130,8 @@ def run_trial(index: PoseIndex, queries: Queries, *, n: int = DEFAULT_HYPOTHESES
         votes[row], postures[row] = votes_of(found.voters), found.postures
         for rank, hypothesis in enumerate(found.hypotheses[:n]):
             features[row, rank] = hypothesis.features
-            twin = exchange_sides(hypothesis.points_normalised)
-            apart_2d = hypothesis.points_normalised[:JOINTS] - queries.joints_2d[row]
+            twin = exchange_sides(hypothesis.points_2d)
+            apart_2d = hypothesis.points_2d[:JOINTS] - queries.joints_2d[row]
             apart_twin = twin[:JOINTS] - queries.joints_2d[row]
             apart_3d = hypothesis.points_3d[:JOINTS] - queries.joints_3d[row]
             confidence[row, rank] = hypothesis.confidence

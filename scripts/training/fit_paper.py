@@ -75,7 +75,7 @@ def answers(
 
 
 def _joint_error_px(one: PoseHypothesis, truth: NDArray[np.floating]) -> float:
-    apart = one.points_normalised[:JOINTS] - truth
+    apart = one.points_2d[:JOINTS] - truth
     return float(np.linalg.norm(apart, axis=-1).mean())
 
 

@@ -61,7 +61,7 @@ def test_known_poses_in_new_views_are_recognised(
     right = []
     for silhouette, _, points in new_views:
         found = best_hypotheses(toy_index, silhouette, 7)
-        error_px = min(joint_error(one.points_normalised, points) for one in found)
+        error_px = min(joint_error(one.points_2d, points) for one in found)
         right.append(error_px < RIGHT_BELOW_PX)
     assert np.mean(right) > 0.6
 
@@ -107,7 +107,7 @@ def test_hypotheses_are_ascending_distinct_and_finite(
     # Interpolation may bring distinct poses a little nearer.
     assert (apart[~np.eye(len(first), dtype=bool)] > 0.05).all()
     for hypothesis in found:
-        for points in (hypothesis.points_3d, hypothesis.points_normalised):
+        for points in (hypothesis.points_3d, hypothesis.points_2d):
             assert np.isfinite(points).all()
         assert 0 <= hypothesis.confidence <= 1
         assert hypothesis.silhouette_distance >= 0
@@ -148,9 +148,9 @@ class TestRolledQueries:
             assert (found.entry_id, found.mirrored) == (number, False)
             assert found.reprojection_error_px == pytest.approx(0, abs=1e-6)
             assert found.rotation_deg == pytest.approx(-roll_deg)
-            assert found.tilt_deg == pytest.approx(0, abs=1e-4)
+            assert found.label.roll_deg == pytest.approx(0, abs=1e-4)
             # In the picture as given, in space as seen without the roll.
-            assert joint_error(found.points_normalised, entry.points_normalised) < 3
+            assert joint_error(found.points_2d, entry.points_normalised) < 3
             assert joint_error(found.points_3d, rotate_clockwise(entry.points_3d, -roll_deg)) < 0.1
 
     def test_upside_down_query_gives_the_same_pose(self, ground_index: PoseIndex) -> None:
@@ -160,10 +160,10 @@ class TestRolledQueries:
             there = best_of(ground_index, silhouette[::-1, ::-1], roll_deg + 180)
             assert there.entry_id == here.entry_id
             assert there.posture == here.posture
-            assert there.tilt_deg == pytest.approx(here.tilt_deg, abs=1e-4)
+            assert there.label.roll_deg == pytest.approx(here.label.roll_deg, abs=1e-4)
             assert joint_error(there.points_3d, here.points_3d) < 0.03
             frame = np.array(silhouette.shape[::-1]) - 1
-            assert joint_error(frame - there.points_normalised, here.points_normalised) < 1
+            assert joint_error(frame - there.points_2d, here.points_2d) < 1
 
 
 def likeliest(found: Match) -> PoseHypothesis:
@@ -181,7 +181,7 @@ def test_landmarks_reduce_the_error(toy_index: PoseIndex, new_views: list[View])
             (match_silhouette(toy_index, silhouette, 7), without),
             (match_landmarks(toy_index, silhouette, 7, landmarks), with_them),
         ):
-            errors.append(joint_error(likeliest(found).points_normalised, points))
+            errors.append(joint_error(likeliest(found).points_2d, points))
     assert np.mean(with_them) < 0.6 * np.mean(without)
 
 
@@ -195,7 +195,7 @@ def test_alternatives_in_depth_have_the_joints_of_the_first_in_the_picture(
         alternatives = [one for one in others if one.in_depth]
         assert len(alternatives) >= 4 and not first.in_depth
         for one in found[1:]:
-            same = np.array_equal(one.points_normalised, first.points_normalised)
+            same = np.array_equal(one.points_2d, first.points_2d)
             assert same == one.in_depth
         for one in alternatives:
             assert one.weight
@@ -225,9 +225,9 @@ def test_hypotheses_move_along_with_landmarks(toy_index: PoseIndex, new_views: l
                     before.points_3d - found.hypotheses[0].points_3d,
                     atol=1e-9,
                 )
-                assert np.array_equal(after.points_normalised, moved[0].points_normalised)
-        stayed.append(joint_error(found.hypotheses[0].points_normalised, points))
-        along.append(joint_error(moved[0].points_normalised, points))
+                assert np.array_equal(after.points_2d, moved[0].points_2d)
+        stayed.append(joint_error(found.hypotheses[0].points_2d, points))
+        along.append(joint_error(moved[0].points_2d, points))
     assert np.mean(along) < 0.6 * np.mean(stayed)
 
 
@@ -259,7 +259,7 @@ def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
     landmarks = landmarks_of(points, points_3d)
     best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
     assert (best.entry_id, best.mirrored) == (number, True)
-    assert joint_error(best.points_normalised, points) < 1
+    assert joint_error(best.points_2d, points) < 1
     assert joint_error(best.points_3d, points_3d) < 0.01
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
 
@@ -273,7 +273,7 @@ def test_landmarks_decide_between_left_and_right(
             wanted, depth = (exchange_sides(p) if exchanged else p for p in (points, in_space))
             best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks_of(wanted, depth)))
             right, wrong = (
-                joint_error(best.points_normalised, p) for p in (wanted, exchange_sides(wanted))
+                joint_error(best.points_2d, p) for p in (wanted, exchange_sides(wanted))
             )
             correct.append(right <= wrong)
     assert np.mean(correct) > 0.9
@@ -291,9 +291,7 @@ def test_partly_visible_person_is_placed_by_landmarks(toy_index: PoseIndex, numb
     seen = (entry.points_normalised - to_whole[:, 2]) @ np.linalg.inv(to_whole[:, :2]).T
     landmarks = replace(landmarks_of(seen, entry.points_3d), whole=False)
     found = match_landmarks(toy_index, cut, 7, landmarks)
-    *errors, error_facing_away = [
-        joint_error(one.points_normalised, seen) for one in found.hypotheses
-    ]
+    *errors, error_facing_away = [joint_error(one.points_2d, seen) for one in found.hypotheses]
     assert max(errors) < 8
     assert error_facing_away < 16
     best = likeliest(found)
@@ -311,10 +309,10 @@ def test_twin_of_the_first_is_one_of_seven_unless_another_is_near(
     for silhouette, _, _ in new_views[::4]:
         found = match_silhouette(toy_index, silhouette, 20)
         seven = found.hypotheses[:DEFAULT_HYPOTHESES]
-        first, turned = seven[0], exchange_sides(seven[0].points_normalised)
+        first, turned = seven[0], exchange_sides(seven[0].points_2d)
         twins = [one for one in seven if one.twin]
         near = [
-            joint_error(one.points_normalised, turned) < RIGHT_BELOW_PX
+            joint_error(one.points_2d, turned) < RIGHT_BELOW_PX
             for one in found.voters[: DEFAULT_HYPOTHESES - 1]
         ]
         assert len(twins) == (not any(near))
@@ -322,7 +320,7 @@ def test_twin_of_the_first_is_one_of_seven_unless_another_is_near(
         assert not any(one.twin for one in found.hypotheses[DEFAULT_HYPOTHESES:])
         offered.append(bool(twins))
         for twin in twins:
-            assert_allclose(twin.points_normalised, turned)
+            assert_allclose(twin.points_2d, turned)
             assert_allclose(twin.points_3d, exchange_sides(first.points_3d) * [1, 1, -1])
             assert twin.distance >= first.distance
             assert twin.confidence <= first.confidence

@@ -7,10 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.estimation.posture import likeliest_posture
-from app.estimation.results import Facing, Person, ProjectedHypothesis
+from app.estimation.results import Facing, Person
 from app.tracking.results import TrackedFrame
 from app.vision.geometry import Box
 from app.vision.optics import PinholeCamera
+from index.matching import PoseHypothesis
 from index.posture import PostureName, vote_posture
 from index.skeleton import POINT_NAMES, POINTS, camera_rotation
 from index.store import Label
@@ -54,9 +55,9 @@ def person_of(
     hypotheses = []
     for entry, (pose, confidence) in enumerate(zip(poses, confidences, strict=True)):
         label = Label(entry, action, "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
-        hypothesis = ProjectedHypothesis(
+        hypothesis = PoseHypothesis(
             entry_id=entry, mirrored=False, silhouette_distance=1.0, reprojection_error_px=1.0,
-            confidence=confidence, points_3d=pose, points_normalised=np.zeros((POINTS, 2)),
+            confidence=confidence, points_3d=pose,
             posture=postures[entry] if postures else "standing", distance=1.0,
             label=label, points_2d=np.array(centre) + PX_PER_M * pose[:, :2],
         )  # fmt: skip
