@@ -320,7 +320,7 @@ def _posture(person: Person, found: Match, *, feet_visible: bool) -> EstimatedPo
     if person.frame_posture is not None:
         shares = LANDMARK_GROUPS.split(person.frame_posture.probabilities, shares)
     best = max(one.confidence for one in found.hypotheses)
-    return likeliest_posture(shares, person.shown, person.shown * best)
+    return likeliest_posture(shares, person.presence, person.presence * best)
 
 
 def _placed(
@@ -330,7 +330,7 @@ def _placed(
     return tuple(
         replace(
             one,
-            confidence=person.shown * one.confidence,
+            confidence=person.presence * one.confidence,
             points_3d=placed.points_3d[row],
             points_2d=placed.points_2d[row],
         )

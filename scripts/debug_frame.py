@@ -105,7 +105,7 @@ def _window(person: Person) -> tuple[PersonWindow, NDArray[np.float64]]:
 def describe(number: int, person: Person) -> str:
     """Return what was decided about a person, in lines of text."""
     posture = person.posture
-    presence = "-" if person.presence is None else f"{person.presence:.2f}"
+    presence = "-" if person.next_window is None else f"{person.presence:.2f}"
     reported = "-" if posture is None else f"{posture.label} ({posture.probability:.2f})"
     lines = [
         f"person {number}: box {person.box.x:.0f} {person.box.y:.0f} {person.box.width:.0f} "

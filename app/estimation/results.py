@@ -55,12 +55,12 @@ class Person:
     people, the silhouette if none was found in a caller's box. Landmarks and everything that
     follows from them, including ``trust`` and the frame's posture, are None if no landmarks were
     read. ``presence``, from the trust, is the probability that the window of the reading shows a
-    person. ``next_window`` is to be read in the next frame, ``seen_keypoints`` are MoveNet's
-    relative to the landmarks, ``drawn`` is the silhouette as drawn last and ``matched`` what was
-    found for it. ``beside`` says that the network saw the person only while others were painted
-    over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked person.
-    ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses come best
-    first; without a silhouette there are no hypotheses, colours, facing or posture.
+    person, 1 if none was read. ``next_window`` is to be read in the next frame, ``seen_keypoints``
+    are MoveNet's relative to the landmarks, ``drawn`` is the silhouette as drawn last and
+    ``matched`` what was found for it. ``beside`` says that the network saw the person only while
+    others were painted over. ``patch`` and ``colours`` ``(80,)`` describe the looks of a tracked
+    person. ``hips`` ``(3,)`` is their middle, metres from the camera in its axes. Hypotheses come
+    best first; without a silhouette there are no hypotheses, colours, facing or posture.
     """
 
     box: Box
@@ -68,7 +68,7 @@ class Person:
     detection_score: float | None = None
     silhouette: Silhouette | None = None
     landmarks: Landmarks | None = None
-    presence: float | None = None
+    presence: float = 1.0
     next_window: PersonWindow | None = None
     seen_keypoints: Seen | None = None
     drawn: DrawnSilhouette | None = None
@@ -84,11 +84,6 @@ class Person:
     hypotheses: tuple[PoseHypothesis, ...] = ()
 
     @property
-    def shown(self) -> float:
-        """Probability that there is a person: the ``presence``, 1 where no window was read."""
-        return 1.0 if self.presence is None else self.presence
-
-    @property
     def whole_box(self) -> Box:
         return self.box if self.silhouette is None else self.silhouette.box
 
@@ -102,7 +97,7 @@ class Person:
         """Whether the window about a caller's box shows no person."""
         if self.source != "boxes":
             return False
-        return self.silhouette is None or self.shown < 0.5
+        return self.silhouette is None or self.presence < 0.5
 
     @property
     def voters(self) -> list[PoseHypothesis]:

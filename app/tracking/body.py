@@ -63,7 +63,7 @@ class Body:
             timestamp,
             votes,
             person.frame_posture,
-            person.shown,
+            person.presence,
             person.whole_box,
             posture_weight(person),
         )
@@ -106,4 +106,4 @@ def posture_weight(person: Person) -> float:
     landmarks are is 0.005, 0.03, 0.1, 0.3, 0.55 and 0.85, which its fourth root follows.
     """
     right = 1.0 if person.trust is None else person.trust.right
-    return 1 - person.shown * (1 - math.pow(right, 0.25))
+    return 1 - person.presence * (1 - math.pow(right, 0.25))

@@ -89,7 +89,7 @@ def observation_of(
     return observation(
         person.box,
         frame_shape,
-        person.shown * np.asarray(person.frame_posture.probabilities),
+        person.presence * np.asarray(person.frame_posture.probabilities),
         1.0 if person.trust is None else person.trust.right,
         float(person.landmarks.positions[_HIPS, 1].mean()),
         covered,

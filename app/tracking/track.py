@@ -152,8 +152,8 @@ class Track:
                 seen = observation(person.box, frame.shape, postures, confidence, covered=covered)
             else:
                 seen = observation_of(person, frame.shape, covered)
-            certain = person.presence and posture_weight(person) * person.presence
-            reliability = confidence if certain is None else certain
+            certain = posture_weight(person) * person.presence
+            reliability = confidence if person.next_window is None else certain
             events = self._watches.update(timestamp, shares, reliability, seen)
         return self._tracked(person, pose, timestamp), self._named([*events, *crossings])
 

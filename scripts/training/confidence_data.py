@@ -84,7 +84,7 @@ def answers_about(estimator: Estimator, people: Iterable[KnownPerson]) -> Iterat
                 away = about_hips(one.points_3d[LIMB_ROWS]) - known.limbs_3d
                 distance_m = float(np.linalg.norm(away, axis=1).mean())
             yield Answer(
-                number, rank, one.in_depth, one.features, person.presence or 1.0, one.confidence,
+                number, rank, one.in_depth, one.features, person.presence, one.confidence,
                 one.weight or 0.0, float(apart[known.counted].mean()) / scale, distance_m,
             )  # fmt: skip
 

@@ -116,7 +116,7 @@ def _answer(person: TrackedPerson) -> NDArray[np.float64]:
         np.full(6, np.nan) if person.frame_posture is None else person.frame_posture.probabilities
     )
     trust = (np.nan, np.nan) if person.trust is None else (person.trust.person, person.trust.right)
-    presence = np.nan if person.presence is None else person.presence
+    presence = np.nan if person.next_window is None else person.presence
     return np.array([
         person.track_id, box.x, box.y, box.width, box.height, hips, *posture, presence, *trust,
         person.detection_score or 0.0, person.age_frames,
