@@ -18,17 +18,14 @@ from app.scene import Patch, View
 from app.scheduling.job import Job
 from app.tracking.floor import Floor
 from app.tracking.following import TrackedPeopleDetector
-from app.tracking.place import PREDICTED_FOR_S, Place
 from app.tracking.replay import Recorder
 from app.tracking.results import Event, EventState, TrackedFrame, TrackedPerson
-from app.tracking.track import Track, associate
+from app.tracking.track import Track, Tracks, associate
 from app.tracking.zones import Zone, is_outside
-from app.vision.geometry import Box
 from app.vision.halved import Frame
 from app.vision.images import ImageWarning
 from app.vision.optics import Optics, PinholeCamera, Rectification
 from app.vision.same_person import colours_of
-from app.vision.truncation import may_have_left
 from index.matching import DEFAULT_HYPOTHESES
 
 TRACK_BYTES = 145_000
@@ -102,13 +99,12 @@ class CameraSession:
         self._detector = TrackedPeopleDetector(estimator.finder)
         self._view, self._floor = View(), Floor()
         self._recorder = Recorder()
-        self._tracks: list[Track] = []
-        self._given_ids = 0
+        self._tracks = Tracks(2 * estimator.finder.max_persons)
         self._frames = 0
         self._rectification: Rectification | None = None
         self._asked: tuple[int, Optics] | None = None
         """Hypotheses and optics for which people were estimated."""
-        self._timestamp = self._watched_from = -math.inf
+        self._timestamp = -math.inf
         self._arrived = 0.0
         self._empty: _EmptyScene | None = None
         # Events not reported yet, since a frame may fail half-way.
@@ -170,12 +166,13 @@ class CameraSession:
         if decoded.has_frame:
             people = [_with_looks(person, frame) for person in people]
         if upload.track_ids is None:
-            tracks = associate(self._tracks, people, timestamp, in_window)
+            known = associate(self._tracks, people, timestamp, in_window)
         else:
-            tracks = self._named_by_caller(people, upload.track_ids, timestamp)
-        seen = self._identify(people, tracks, timestamp, zones)
-        self._drop_unseen(frame, timestamp)
-        seen += self._hidden_people(frame.shape, timestamp)
+            known = self._tracks.named_by_caller(people, upload.track_ids, timestamp)
+        seen = self._tracks.see(people, known, timestamp)
+        self._events += self._tracks.confirm(timestamp, zones)
+        self._events += self._tracks.drop_unseen(frame, timestamp)
+        seen += self._tracks.hidden_people(frame.shape, timestamp)
         confirmed = [(person, track) for person, track in seen if track.track_id is not None]
         confirmed.sort(key=lambda pair: pair[0].box.x)
         tracked = self._with_poses(confirmed, decoded, timestamp, n, zones, job)
@@ -285,7 +282,7 @@ class CameraSession:
         before, self._rectification = self._rectification, now
         gap = timestamp - self._timestamp
         if before is None:
-            self._watched_from = timestamp
+            self._tracks.watched_from = timestamp
             return
         is_same_view = (before.square, before.roll_deg) == (now.square, now.roll_deg)
         if before.square != now.square:
@@ -299,15 +296,13 @@ class CameraSession:
             reason = f"the timestamps went back by {-gap:.1f} s"
         else:
             return
-        self._reset, self._watched_from = reason, timestamp
+        self._reset, self._tracks.watched_from = reason, timestamp
         self._detector = TrackedPeopleDetector(self._estimator.finder)
         if not is_same_view:
             if self._view.blocked.holds:
                 self._events.append(self._obstructed("end", timestamp))
             self._view, self._floor = View(), Floor()
-        for track in self._tracks:
-            self._events += track.end(timestamp)
-        self._tracks = []
+        self._events += self._tracks.end(timestamp)
 
     def _find(
         self, decoded: DecodedUpload, evidence: Evidence, timestamp: float, job: Job, *, drawn: bool
@@ -338,97 +333,6 @@ class CameraSession:
         if self._view.blocked.holds:
             self._floor.forget()  # The camera may have been turned.
 
-    def _named_by_caller(
-        self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
-    ) -> list[Track | None]:
-        """The track of each person by the caller's identity for the person."""
-        known = {track.caller_id: track for track in self._tracks}
-        tracks = []
-        for person, caller_id in zip(people, caller_ids, strict=True):
-            track = known.get(caller_id) or self._begin(person, timestamp)
-            if track is not None:
-                track.caller_id = caller_id
-            tracks.append(track)
-        return tracks
-
-    def _identify(
-        self,
-        people: Sequence[Person],
-        tracks: Sequence[Track | None],
-        timestamp: float,
-        zones: Sequence[Zone],
-    ) -> list[tuple[Person, Track]]:
-        """Begin tracks of people without one; return the people with their tracks."""
-        seen = []
-        for person, known in zip(people, tracks, strict=True):
-            track = known or self._begin(person, timestamp)
-            if track is not None:
-                track.see(person, timestamp)
-                seen.append((person, track))
-        self._confirm(timestamp, zones)
-        return seen
-
-    def _begin(self, person: Person, timestamp: float) -> Track | None:
-        """Begin the track of a new person; None if there are too many tracks."""
-        if len(self._tracks) >= 2 * self._estimator.finder.max_persons:
-            return None
-        track = Track(person, timestamp, self._watched_from)
-        self._tracks.append(track)
-        return track
-
-    def _hidden_people(
-        self, shape: tuple[int, ...], timestamp: float
-    ) -> list[tuple[Person, Track]]:
-        """Hidden people at their expected places, and fallen people where they lie."""
-        return [
-            (Person(box, "track"), track)
-            for track in self._tracks
-            if track.place.seen_at < timestamp
-            and (box := track.place.lies_at or self._hidden_box(track, shape, timestamp))
-        ]
-
-    def _hidden_box(self, track: Track, shape: tuple[int, ...], timestamp: float) -> Box | None:
-        others = [other.place for other in self._tracks]
-        return track.place.hidden_box(others, shape, timestamp)
-
-    def _named_places(self) -> list[Place]:
-        """Places of people with an identity, who cover others."""
-        return [track.place for track in self._tracks if track.track_id is not None]
-
-    def _confirm(self, timestamp: float, zones: Sequence[Zone]) -> None:
-        """Count a frame of each track, and give an identity to those that now count as people."""
-        for track in self._tracks:
-            track.age_frames += 1
-            if track.track_id is None and track.confirmation.holds:
-                self._given_ids += 1
-                self._events.append(track.confirm(self._given_ids, timestamp, zones))
-
-    def _drop_unseen(self, frame: Frame, timestamp: float) -> None:
-        """End the tracks of people who are no longer visible.
-
-        A fallen person stays at the last place until the picture changes there. A person hidden
-        behind another one is not reported as fallen.
-        """
-        kept = []
-        for track in self._tracks:
-            place, named = track.place.seen, track.track_id is not None
-            hidden = named and self._hidden_box(track, frame.shape, timestamp) is not None
-            track.place.hidden |= hidden
-            # Found by the detector, and last seen where nobody leaves the frame.
-            vanished = track.last.next_window is not None and not may_have_left(place, frame.shape)
-            predicted = hidden or (named and vanished)
-            # Time without a sighting after which a track is dropped; longer for people hidden
-            # behind others and for people lost away from the frame's border.
-            longest = PREDICTED_FOR_S if predicted else 0.5
-            if timestamp - track.place.seen_at > longest:
-                covered = track.place.covered_share(place, self._named_places(), timestamp)
-                events, stays = track.lose(frame, timestamp, alone=covered == 0)
-                self._events += events
-                if not stays:
-                    continue
-            kept.append(track)
-        self._tracks = kept
-
     def _with_poses(
         self,
         seen: list[tuple[Person, Track]],
@@ -458,7 +362,9 @@ class CameraSession:
                 timestamp,
                 zones,
                 frame=upload.frame,
-                covered=track.place.covered_share(person.box, self._named_places(), timestamp),
+                covered=track.place.covered_share(
+                    person.box, self._tracks.named_places(), timestamp
+                ),
                 floor=self._floor,
             )
             self._events += events

@@ -17,11 +17,13 @@ from app.tracking.body import Body, posture_weight
 from app.tracking.events import Watches
 from app.tracking.falls import observation, observation_of
 from app.tracking.floor import Floor
-from app.tracking.place import LastEstimate, Place
+from app.tracking.place import PREDICTED_FOR_S, LastEstimate, Place
 from app.tracking.results import Event, SmoothedPose, TrackedPerson
 from app.tracking.zones import Zone
+from app.vision.geometry import Box
 from app.vision.halved import Frame
 from app.vision.same_person import KnownPerson, same_probabilities
+from app.vision.truncation import may_have_left
 
 
 class Confirmation:
@@ -214,6 +216,111 @@ class Track:
             still_s=self.place.still_s(timestamp),
             on_floor=self._watches.rest.on_floor if lies else None,
         )
+
+
+class Tracks(list[Track]):
+    """The tracks of one camera, ``most`` at most.
+
+    ``watched_from`` is that of :class:`app.tracking.falls.FallWatch` for new ones.
+    """
+
+    def __init__(self, most: int) -> None:
+        super().__init__()
+        self._most, self._given_ids = most, 0
+        self.watched_from = -math.inf
+
+    def named_by_caller(
+        self, people: Sequence[Person], caller_ids: Sequence[str], timestamp: float
+    ) -> list[Track | None]:
+        """The track of each person by the caller's identity for the person."""
+        known = {track.caller_id: track for track in self}
+        tracks = []
+        for person, caller_id in zip(people, caller_ids, strict=True):
+            track = known.get(caller_id) or self._begin(person, timestamp)
+            if track is not None:
+                track.caller_id = caller_id
+            tracks.append(track)
+        return tracks
+
+    def see(
+        self, people: Sequence[Person], known: Sequence[Track | None], timestamp: float
+    ) -> list[tuple[Person, Track]]:
+        """Begin tracks of people without one; return the people with their tracks."""
+        seen = []
+        for person, own in zip(people, known, strict=True):
+            track = own or self._begin(person, timestamp)
+            if track is not None:
+                track.see(person, timestamp)
+                seen.append((person, track))
+        return seen
+
+    def _begin(self, person: Person, timestamp: float) -> Track | None:
+        """Begin the track of a new person; None if there are too many tracks."""
+        if len(self) >= self._most:
+            return None
+        track = Track(person, timestamp, self.watched_from)
+        self.append(track)
+        return track
+
+    def confirm(self, timestamp: float, zones: Sequence[Zone]) -> list[Event]:
+        """Count a frame of each track, and give an identity to those that now count as people."""
+        events = []
+        for track in self:
+            track.age_frames += 1
+            if track.track_id is None and track.confirmation.holds:
+                self._given_ids += 1
+                events.append(track.confirm(self._given_ids, timestamp, zones))
+        return events
+
+    def hidden_people(self, shape: tuple[int, ...], timestamp: float) -> list[tuple[Person, Track]]:
+        """Hidden people at their expected places, and fallen people where they lie."""
+        return [
+            (Person(box, "track"), track)
+            for track in self
+            if track.place.seen_at < timestamp
+            and (box := track.place.lies_at or self._hidden_box(track, shape, timestamp))
+        ]
+
+    def _hidden_box(self, track: Track, shape: tuple[int, ...], timestamp: float) -> Box | None:
+        others = [other.place for other in self]
+        return track.place.hidden_box(others, shape, timestamp)
+
+    def named_places(self) -> list[Place]:
+        """Places of people with an identity, who cover others."""
+        return [track.place for track in self if track.track_id is not None]
+
+    def drop_unseen(self, frame: Frame, timestamp: float) -> list[Event]:
+        """End the tracks of people who are no longer visible; return their events.
+
+        A fallen person stays at the last place until the picture changes there. A person hidden
+        behind another one is not reported as fallen.
+        """
+        kept, ended = [], list[Event]()
+        for track in self:
+            place, named = track.place.seen, track.track_id is not None
+            hidden = named and self._hidden_box(track, frame.shape, timestamp) is not None
+            track.place.hidden |= hidden
+            # Found by the detector, and last seen where nobody leaves the frame.
+            vanished = track.last.next_window is not None and not may_have_left(place, frame.shape)
+            predicted = hidden or (named and vanished)
+            # Time without a sighting after which a track is dropped; longer for people hidden
+            # behind others and for people lost away from the frame's border.
+            longest = PREDICTED_FOR_S if predicted else 0.5
+            if timestamp - track.place.seen_at > longest:
+                covered = track.place.covered_share(place, self.named_places(), timestamp)
+                events, stays = track.lose(frame, timestamp, alone=covered == 0)
+                ended += events
+                if not stays:
+                    continue
+            kept.append(track)
+        self[:] = kept
+        return ended
+
+    def end(self, timestamp: float) -> list[Event]:
+        """End all tracks; return their events."""
+        events = [event for track in self for event in track.end(timestamp)]
+        self.clear()
+        return events
 
 
 # Least probability that two sightings are the same person. In pairs of held-out films, one person
