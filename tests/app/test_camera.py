@@ -296,7 +296,7 @@ def test_a_track_holds_about_as_many_bytes_as_reported(session: CameraSession) -
         held_bytes(shared, seen)
     for frame in range(32):
         send(session, (1 + frame) / 10, (0, 100))
-    held = held_bytes([*vars(session).values()], seen)
+    held = held_bytes([*vars(session).values(), *vars(session)["_tracks"]], seen)
     assert session.memory_bytes / 2 < held < 2 * session.memory_bytes
 
 
