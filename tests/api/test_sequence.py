@@ -118,8 +118,7 @@ def hang_up_after_sending(url: str, video: bytes) -> None:
 def narrow(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server for one video at a time, whose log holds no error; the last test ends it."""
     log = tmp_path_factory.mktemp("narrow") / "log"
-    patient = {"POSE_MAX_WAIT_S": "60", "POSE_REQUEST_TIMEOUT_S": "60"}
-    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1", **patient) as running:
+    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1") as running:
         yield running
     assert [line for line in log.read_text().splitlines() if '"error"' in line] == []
 

@@ -15,8 +15,7 @@ STREET = WALKERS.read_bytes()
 @pytest.fixture(scope="module")
 def paper(index_path: Path) -> Iterator[Server]:
     """The service over the tiny index, with the paper's method as its default."""
-    patient = {"POSE_REQUEST_TIMEOUT_S": "100", "POSE_MAX_WAIT_S": "100"}  # On a busy machine.
-    with running_server(index_path, POSE_METHOD="paper", **patient) as running:
+    with running_server(index_path, POSE_METHOD="paper") as running:
         yield running
 
 
