@@ -119,6 +119,9 @@ def photo(tiny_index: PoseIndex) -> Photo:
 PATIENT_S = 300
 """How long services of tests let a frame wait and take: the machine may be busy."""
 
+HTTP = httpx.Client(timeout=PATIENT_S)
+"""For requests to servers: to set up a client takes longer than most answers."""
+
 
 @pytest.fixture(scope="session")
 def settings(index_path: Path) -> Settings:
@@ -194,7 +197,7 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 60) -> httpx.Resp
     deadline = time.monotonic() + timeout_s
     while True:
         try:
-            response = httpx.get(url)
+            response = HTTP.get(url)
             if response.status_code == status:
                 return response
         except httpx.TransportError:

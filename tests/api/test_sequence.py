@@ -13,7 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceResponse
-from tests.conftest import Photo, Server, Serving, running_server
+from tests.conftest import HTTP, Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample, slow_frame
 from tests.support.videos import numbered_frames, write_video
 
@@ -184,9 +184,8 @@ def test_sigterm_ends_a_video_with_a_line_and_finishes_all_frames(
     boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(3)])
 
     def ask(_: int) -> int:
-        return httpx.post(
-            f"{narrow.url}/pose", files=files, data={"boxes": boxes}, timeout=60
-        ).status_code
+        data = {"boxes": boxes}
+        return HTTP.post(f"{narrow.url}/pose", files=files, data=data).status_code
 
     with httpx.Client(base_url=narrow.url, timeout=60) as client, ThreadPoolExecutor(3) as threads:
         with client.stream("POST", "/sequence", files={"video": long_video}) as response:

@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.conftest import WALKERS, Server, running_server
+from tests.conftest import HTTP, WALKERS, Server, running_server
 
 STREET = WALKERS.read_bytes()
 
@@ -21,7 +21,7 @@ def paper(index_path: Path) -> Iterator[Server]:
 
 def post(server: Server, path: str, **params: Any) -> httpx.Response:
     files = {"frame": ("walkers.jpg", STREET)}
-    return httpx.post(f"{server.url}{path}", files=files, params=params, timeout=120)
+    return HTTP.post(f"{server.url}{path}", files=files, params=params)
 
 
 def test_people_have_seven_entries_by_default_and_no_network_is_loaded(paper: Server) -> None:

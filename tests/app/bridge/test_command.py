@@ -17,7 +17,6 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
-import httpx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from app.decoding import Frame
 from app.decoding.videos import VideoError
 from tests.app.bridge.cameras import MjpegCamera, RtspCamera
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
-from tests.conftest import ROOT, Server
+from tests.conftest import HTTP, ROOT, Server
 from tests.golden.pictures import EMPTY_YARD, STREET, STREET_MASK, WALKER, decode
 from tests.support.programs import children
 from tests.support.videos import noisy_frames, numbered_frames, write_video
@@ -331,8 +330,8 @@ def test_a_fall_on_film_is_detected_by_a_real_service(
     write_video(tmp_path / "yard.avi", list(falling_walker()), fps=6)
     assert run([str(tmp_path / "yard.avi"), "yard", "--url", server.url]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    kept = httpx.get(f"{server.url}/cameras/yard/events").json()["events"]
-    assert httpx.delete(f"{server.url}/cameras/yard").status_code == 204
+    kept = HTTP.get(f"{server.url}/cameras/yard/events").json()["events"]
+    assert HTTP.delete(f"{server.url}/cameras/yard").status_code == 204
     assert names(printed) == names(kept)
     assert names(printed)[0] == "entered"
     assert sorted(names(printed)[1:]) == ["fell", "lying"]
