@@ -28,7 +28,7 @@ def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
 def long_video(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A thousand frames of nothing."""
     path = tmp_path_factory.mktemp("video") / "v.avi"
-    return write_video(path, numbered_frames(2, 240, 320) * 500)
+    return write_video(path, numbered_frames(2, 96, 128) * 500)
 
 
 def post(client: TestClient | httpx.Client, data: bytes, **query: Any) -> httpx.Response:
