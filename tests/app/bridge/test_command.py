@@ -283,7 +283,7 @@ def test_what_decodes_a_source_is_confined_and_holds_no_password_of_a_receiver(
     monkeypatch.setenv("WATCH_MQTT", "mqtt://user:s3cret@broker")
     camera = {"rtsp": RtspCamera, "http": MjpegCamera}.get(kind)
     if camera is None:
-        write_video(tmp_path / "long.avi", noisy_frames(200), fps=10)
+        write_video(tmp_path / "long.avi", noisy_frames(20), fps=1)
     with nullcontext(str(tmp_path / "long.avi")) if camera is None else camera() as address:
         source = source_module.Source(address)
         assert next(source.frames(threading.Event())).pixels.shape == (240, 320, 3)
