@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -284,8 +284,9 @@ def test_what_decodes_a_source_is_confined_and_holds_no_password_of_a_receiver(
     camera = {"rtsp": RtspCamera, "http": MjpegCamera}.get(kind)
     if camera is None:
         write_video(tmp_path / "long.avi", noisy_frames(20), fps=1)
-    with nullcontext(str(tmp_path / "long.avi")) if camera is None else camera() as address:
-        source = source_module.Source(address)
+    with ExitStack() as stack:
+        address = stack.enter_context(camera()) if camera else str(tmp_path / "long.avi")
+        source = stack.enter_context(closing(source_module.Source(address)))
         assert next(source.frames(threading.Event())).pixels.shape == (240, 320, 3)
         processes = [Path(f"/proc/{number}") for number in children()]
         decoders = [
