@@ -116,10 +116,17 @@ def photo(tiny_index: PoseIndex) -> Photo:
     return photograph(tiny_index, 8)
 
 
+PATIENT_S = 300
+"""How long services of tests let a frame wait and take: the machine may be busy."""
+
+HTTP = httpx.Client(timeout=PATIENT_S)
+"""For requests to servers: to set up a client takes longer than most answers."""
+
+
 @pytest.fixture(scope="session")
 def settings(index_path: Path) -> Settings:
     """Settings for the tiny index."""
-    return Settings(index=index_path)
+    return Settings(index=index_path, max_wait_s=PATIENT_S, request_timeout_s=PATIENT_S)
 
 
 @pytest.fixture(scope="session")
@@ -165,7 +172,13 @@ def start_server(
 
     Without an index, it serves the one of its package.
     """
-    variables = {"HOST": "127.0.0.1", "PORT": str(free_ports(1)[0]), **environment}
+    variables = {
+        "HOST": "127.0.0.1",
+        "PORT": str(free_ports(1)[0]),
+        "POSE_MAX_WAIT_S": str(PATIENT_S),
+        "POSE_REQUEST_TIMEOUT_S": str(PATIENT_S),
+        **environment,
+    }
     if index:
         variables.setdefault("POSE_INDEX", str(index))
     with log.open("ab") if log else nullcontext() as output:
@@ -184,7 +197,7 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 60) -> httpx.Resp
     deadline = time.monotonic() + timeout_s
     while True:
         try:
-            response = httpx.get(url)
+            response = HTTP.get(url)
             if response.status_code == status:
                 return response
         except httpx.TransportError:
@@ -195,7 +208,9 @@ def wait_until(url: str, status: int = 200, timeout_s: float = 60) -> httpx.Resp
 
 
 @contextmanager
-def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -> Iterator[Server]:
+def running_server(
+    index: Path | None, timeout_s: float = PATIENT_S, **options: Any
+) -> Iterator[Server]:
     """Start a server as :func:`start_server` does, wait until it is ready, and end it."""
     running = start_server(index, **options)
     try:
@@ -207,16 +222,15 @@ def running_server(index: Path | None, timeout_s: float = 120, **options: Any) -
 
 @pytest.fixture(scope="session")
 def server(index_path: Path) -> Iterator[Server]:
-    """A server process over the tiny index, ready; it may work on a request for long."""
-    with running_server(index_path, POSE_REQUEST_TIMEOUT_S="300") as running:
+    """A server process over the tiny index, ready."""
+    with running_server(index_path) as running:
         yield running
 
 
 @pytest.fixture(scope="session")
 def shipped_server() -> Iterator[Server]:
-    """A server process over the index that ships, ready; it lets requests wait for long."""
-    patient = {"POSE_MAX_WAIT_S": "300", "POSE_REQUEST_TIMEOUT_S": "300"}
-    with running_server(None, **patient) as running:
+    """A server process over the index that ships, ready."""
+    with running_server(None) as running:
         yield running
 
 

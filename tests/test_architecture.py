@@ -3,9 +3,8 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
-
-import pytest
 
 from tests.conftest import ROOT
 from tests.support.programs import output_of
@@ -35,26 +34,27 @@ def layer_of(path: str, layers: dict[str, int]) -> int | None:
     return next((layers[name] for name in (path, *folders) if name in layers), None)
 
 
-def imported_files(file: Path) -> set[str]:
+@cache
+def imported_files(path: str) -> set[str]:
     """Files of the packages that a file imports."""
     names = set()
-    for node in ast.walk(ast.parse(file.read_text())):
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
-            assert not node.level, f"{file}: expected absolute imports"
+            assert not node.level, f"{path}: expected absolute imports"
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
     found = set()
     for name in names:
         parts = name.split(".")
         if parts[0] not in PACKAGES:
             continue
-        while parts and not (ROOT / (path := "/".join(parts) + ".py")).is_file():
-            path = "/".join(parts) + "/__init__.py"
-            if (ROOT / path).is_file():
+        while parts and not (ROOT / (known := "/".join(parts) + ".py")).is_file():
+            known = "/".join(parts) + "/__init__.py"
+            if (ROOT / known).is_file():
                 break
             parts.pop()
-        found.add(path)
+        found.add(known)
     return found
 
 
@@ -77,20 +77,20 @@ def test_every_module_of_the_service_has_a_layer() -> None:
     assert [path for path in MODULES if layer_of(path, layers) is None] == ["app/__init__.py"]
 
 
-# app/__init__.py only names what programs may import, and imports it when it is asked for.
-@pytest.mark.parametrize("path", sorted({*MODULES} - {"app/__init__.py"}))
-def test_imports_lead_downward(path: str) -> None:
+def test_imports_lead_downward() -> None:
     layers = table()
-    layer = layer_of(path, layers)
-    for other in imported_files(ROOT / path) - {"app/__init__.py"}:
-        below = layer_of(other, layers)
-        assert layer is not None and below is not None
-        assert layer <= below, f"{path} imports {other}, which is in a layer above"
+    # app/__init__.py only names what programs may import, and imports it when it is asked for.
+    for path in {*MODULES} - {"app/__init__.py"}:
+        layer = layer_of(path, layers)
+        for other in imported_files(path) - {"app/__init__.py"}:
+            below = layer_of(other, layers)
+            assert layer is not None and below is not None
+            assert layer <= below, f"{path} imports {other}, which is in a layer above"
 
 
 def test_the_bridge_is_a_client() -> None:
     for path in MODULES:
-        others = imported_files(ROOT / path) - {"app/__init__.py"}
+        others = imported_files(path) - {"app/__init__.py"}
         if path.startswith("app/bridge/"):
             known = ("app/bridge/", "app/decoding/", "app/configuration.py", "app/messages.py")
             assert all(other.startswith(known) for other in others), path
@@ -114,6 +114,6 @@ def test_the_page_on_vision_names_every_module_of_it() -> None:
 def test_vision_knows_nothing_but_images() -> None:
     vision = [path for path in MODULES if path.startswith("app/vision/")]
     for path in vision:
-        for other in imported_files(ROOT / path):
+        for other in imported_files(path):
             below = ("app/vision/", "app/networks/")
             assert other.startswith(below), f"{path} imports {other}"

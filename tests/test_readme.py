@@ -6,10 +6,9 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import httpx
 import pytest
 
-from tests.conftest import ROOT, SHARED, WALKERS, Server
+from tests.conftest import HTTP, ROOT, SHARED, WALKERS, Server
 
 README = ROOT / "README.md"
 API = ROOT / "docs" / "api.md"
@@ -97,7 +96,7 @@ def test_the_reply_is_the_one_shown(page: Path, shipped_server: Server) -> None:
     shown = json.loads(re.findall(r"^```json\n(.*?)^```", page.read_text(), re.M | re.S)[0])
     with WALKERS.open("rb") as frame:
         files = {"frame": frame}
-        answer = httpx.post(f"{shipped_server.url}/pose", params={"n": 7}, files=files, timeout=60)
+        answer = HTTP.post(f"{shipped_server.url}/pose", params={"n": 7}, files=files)
     resembles(shown, answer.json(), whole=page == API)
 
 

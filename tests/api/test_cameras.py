@@ -86,18 +86,18 @@ class TestOrder:
     def test_the_newest_waiting_frame_replaces_older_ones(
         self, serving: Serving, photo: Photo, gate: Gate, ask: Ask
     ) -> None:
-        with serving(concurrency=4, max_wait_s=10.0) as client, ThreadPoolExecutor(3) as threads:
+        with serving(concurrency=4) as client, ThreadPoolExecutor(3) as threads:
             queue = client.app.state.runtime.executor.queue  # type: ignore[attr-defined]
             running = threads.submit(ask, client, photo)
             eventually(lambda: gate.begun == 1)
             older = threads.submit(ask, client, photo)
             eventually(lambda: queue.in_flight == 2)
             newer = threads.submit(ask, client, photo)
-            refused = older.result(10)
+            refused = older.result(60)
             assert not newer.done()
             assert gate.begun == 1
             gate.let_go.set()
-            answers = [running.result(10), newer.result(10)]
+            answers = [running.result(60), newer.result(60)]
             assert [answer.status_code for answer in answers] == [200, 200]
             if ask is send:
                 assert [answer.json()["frame_index"] for answer in answers] == [0, 1]

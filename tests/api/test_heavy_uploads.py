@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.app.vision.encoded import encode
-from tests.conftest import Server
+from tests.conftest import HTTP, Server
 from tests.support.expensive import (
     bmp,
     gif,
@@ -40,7 +40,7 @@ def _decodes(server: Server) -> None:
 
 
 def post(server: Server, path: str, **files: bytes) -> httpx.Response:
-    return httpx.post(f"{server.url}{path}", files=files, timeout=300)
+    return HTTP.post(f"{server.url}{path}", files=files)
 
 
 class Use:
@@ -101,9 +101,7 @@ def test_memory_of_the_largest_images_is_bounded(
     files = {name: make() for name, make in fields.items()}
     data = {"boxes": files.pop("boxes")} if "boxes" in files else None
     use = Use(server)
-    answer = httpx.post(
-        f"{server.url}/pose?n=1&silhouettes={query}", files=files, data=data, timeout=300
-    )
+    answer = HTTP.post(f"{server.url}/pose?n=1&silhouettes={query}", files=files, data=data)
     assert use.peak_mb() < REST_MB
     if refused:
         check_problem(answer, *refused)
@@ -127,7 +125,7 @@ def test_an_expensive_file_is_bounded_wherever_it_is_sent(
         post(server, "/silhouette", frame=data),
         post(server, "/v1/vision/detection", image=data),
         post(server, "/cameras/a/frames", frame=data),
-        httpx.post(f"{server.url}/pose", content=data, headers={"Content-Type": "image/x"}),
+        HTTP.post(f"{server.url}/pose", content=data, headers={"Content-Type": "image/x"}),
     ]
     assert {answer.status_code for answer in answers} == {400}
     assert use.peak_mb() <= 120
@@ -143,9 +141,7 @@ def test_an_expensive_file_is_bounded_wherever_it_is_sent(
 def test_files_of_all_formats_are_bounded(server: Server, make: Callable[[], bytes]) -> None:
     data = make()
     use = Use(server)
-    answer = httpx.post(
-        f"{server.url}/pose", files={"frame": data}, data={"boxes": "[]"}, timeout=60
-    )
+    answer = HTTP.post(f"{server.url}/pose", files={"frame": data}, data={"boxes": "[]"})
     assert answer.status_code in (200, 400, 413)
     assert use.peak_mb() <= 350
     assert use.seconds() < 3

@@ -171,8 +171,7 @@ def apart(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 # By the silhouette alone only rounding differs; the networks are only nearly symmetric.
 @pytest.mark.parametrize(
-    ("sent", "heights", "metres"),
-    [("mask", 0.005, 0.01), ("frame", 0.06, 0.15)],
+    ("sent", "heights", "metres"), [("mask", 0.005, 0.01), ("frame", 0.06, 0.15)]
 )
 def test_a_mirrored_photograph_has_the_mirrored_answer(
     service: Client, sent: str, heights: float, metres: float

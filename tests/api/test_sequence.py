@@ -13,7 +13,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from app.api.tracking_schemas import SequenceEnd, SequenceFrame, SequenceResponse
-from tests.conftest import Photo, Server, Serving, running_server
+from tests.conftest import HTTP, Photo, Server, Serving, running_server
 from tests.support.service import check_problem, eventually, sample, slow_frame
 from tests.support.videos import numbered_frames, write_video
 
@@ -28,7 +28,7 @@ def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
 def long_video(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """A thousand frames of nothing."""
     path = tmp_path_factory.mktemp("video") / "v.avi"
-    return write_video(path, numbered_frames(2, 240, 320) * 500)
+    return write_video(path, numbered_frames(2, 96, 128) * 500)
 
 
 def post(client: TestClient | httpx.Client, data: bytes, **query: Any) -> httpx.Response:
@@ -118,8 +118,7 @@ def hang_up_after_sending(url: str, video: bytes) -> None:
 def narrow(index_path: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
     """A server for one video at a time, whose log holds no error; the last test ends it."""
     log = tmp_path_factory.mktemp("narrow") / "log"
-    patient = {"POSE_MAX_WAIT_S": "60", "POSE_REQUEST_TIMEOUT_S": "60"}
-    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1", **patient) as running:
+    with running_server(index_path, log=log, POSE_MAX_SEQUENCES="1") as running:
         yield running
     assert [line for line in log.read_text().splitlines() if '"error"' in line] == []
 
@@ -185,9 +184,8 @@ def test_sigterm_ends_a_video_with_a_line_and_finishes_all_frames(
     boxes = json.dumps([[40 * column, 100, 38, 100] for column in range(3)])
 
     def ask(_: int) -> int:
-        return httpx.post(
-            f"{narrow.url}/pose", files=files, data={"boxes": boxes}, timeout=60
-        ).status_code
+        data = {"boxes": boxes}
+        return HTTP.post(f"{narrow.url}/pose", files=files, data=data).status_code
 
     with httpx.Client(base_url=narrow.url, timeout=60) as client, ThreadPoolExecutor(3) as threads:
         with client.stream("POST", "/sequence", files={"video": long_video}) as response:

@@ -37,7 +37,7 @@ class TestConfigure:
     def test_zones_are_shown_before_during_and_after_a_session(
         self, serving: Serving, photo: Photo
     ) -> None:
-        with serving(camera_idle_s=0.2) as client:
+        with serving(camera_idle_s=2.0) as client:
             for response in (configure(client, LEFT, RIGHT), client.get("/cameras/yard")):
                 state = CameraState.model_validate_json(response.content)
                 assert [zone.model_dump() for zone in state.zones] == [LEFT, RIGHT]

@@ -127,10 +127,7 @@ def test_reading_settings_loads_no_native_library() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
-    [
-        (["--version"], 0, VERSION),
-        (["--bogus"], 2, "unrecognized arguments: --bogus"),
-    ],
+    [(["--version"], 0, VERSION), (["--bogus"], 2, "unrecognized arguments: --bogus")],
 )
 def test_arguments_do_not_start_the_server(arguments: list[str], status: int, said: str) -> None:
     ended = run(sys.executable, "-m", "app", *arguments, PORT="99999")

@@ -17,7 +17,7 @@ import httpx
 import pytest
 
 from app.settings import Settings
-from tests.conftest import ROOT, Photo, Server
+from tests.conftest import HTTP, ROOT, Photo, Server
 from tests.support.ports import free_ports
 
 NGINX = (ROOT / "deploy" / "nginx.conf").read_text()
@@ -158,7 +158,7 @@ def test_a_frame_is_answered_as_without_it(
     there = client.post(
         "/pose", files=photo.files, headers={"Origin": str(client.base_url).rstrip("/")}
     )
-    here = httpx.post(f"{server.url}/pose", files=photo.files, timeout=60)
+    here = HTTP.post(f"{server.url}/pose", files=photo.files)
     assert there.status_code == 200
     assert there.json()["persons"] == here.json()["persons"]
     assert client.get("/metrics").status_code == 404

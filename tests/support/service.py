@@ -21,7 +21,7 @@ def eventually(reached: Callable[[], object], timeout_s: float = 60) -> None:
     deadline = time.monotonic() + timeout_s
     while not reached():
         assert time.monotonic() < deadline, f"expected it within {timeout_s:g} s"
-        time.sleep(0.005)
+        time.sleep(0.02)
 
 
 def slow_frame() -> bytes:

@@ -46,6 +46,7 @@ def write_video(
         stream.width, stream.height = width, height
         stream.pix_fmt = _PIXELS.get(codec, "yuv420p")
         stream.codec_context.bit_rate = 8_000_000
+        stream.codec_context.thread_count = 1  # Others wait for one another in loops.
         tick_s = 1 / Fraction(fps) if times_s is None else Fraction(1, _TICKS_S)
         stream.codec_context.time_base = tick_s
         if quarter_turns:

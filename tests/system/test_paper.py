@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.conftest import WALKERS, Server, running_server
+from tests.conftest import HTTP, WALKERS, Server, running_server
 
 STREET = WALKERS.read_bytes()
 
@@ -15,14 +15,13 @@ STREET = WALKERS.read_bytes()
 @pytest.fixture(scope="module")
 def paper(index_path: Path) -> Iterator[Server]:
     """The service over the tiny index, with the paper's method as its default."""
-    patient = {"POSE_REQUEST_TIMEOUT_S": "100", "POSE_MAX_WAIT_S": "100"}  # On a busy machine.
-    with running_server(index_path, POSE_METHOD="paper", **patient) as running:
+    with running_server(index_path, POSE_METHOD="paper") as running:
         yield running
 
 
 def post(server: Server, path: str, **params: Any) -> httpx.Response:
     files = {"frame": ("walkers.jpg", STREET)}
-    return httpx.post(f"{server.url}{path}", files=files, params=params, timeout=120)
+    return HTTP.post(f"{server.url}{path}", files=files, params=params)
 
 
 def test_people_have_seven_entries_by_default_and_no_network_is_loaded(paper: Server) -> None:

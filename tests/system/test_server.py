@@ -9,7 +9,7 @@ import httpx
 import numpy as np
 import pytest
 
-from tests.conftest import Server, running_server
+from tests.conftest import HTTP, Server, running_server
 from tests.support.service import sample, slow_frame
 
 
@@ -25,7 +25,7 @@ def test_overload_is_refused_at_once(narrow: Server) -> None:
 
     def ask(_: int) -> tuple[int, float, str | None]:
         started = time.perf_counter()
-        response = httpx.post(f"{narrow.url}/pose", files=files, timeout=60)
+        response = HTTP.post(f"{narrow.url}/pose", files=files)
         seconds = time.perf_counter() - started
         return response.status_code, seconds, response.headers.get("retry-after")
 

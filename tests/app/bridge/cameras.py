@@ -1,6 +1,7 @@
 """Cameras that stream over RTSP and HTTP, for each client from the beginning."""
 
 import io
+import itertools
 import socket
 import struct
 import threading
@@ -13,7 +14,7 @@ import cv2
 
 from tests.support.videos import noisy_frames
 
-_FRAMES, _FPS = 400, 25
+_FPS = 25
 _PACKET = 7 * 188  # Bytes of an MPEG transport stream in a packet of RTP.
 
 
@@ -54,7 +55,7 @@ def _head(file: io.BufferedReader) -> list[str]:
 
 
 class MjpegCamera(_Camera):
-    """JPEGs between boundaries."""
+    """JPEGs between boundaries, without end."""
 
     scheme = "http"
 
@@ -63,7 +64,7 @@ class MjpegCamera(_Camera):
         kind = "multipart/x-mixed-replace; boundary=frame"
         client.sendall(f"HTTP/1.1 200 OK\r\nContent-Type: {kind}\r\n\r\n".encode())
         pictures = [cv2.imencode(".jpg", one)[1].tobytes() for one in noisy_frames(5)]
-        for number in range(_FRAMES):
+        for number in itertools.count():
             part = b"--frame\r\nContent-Type: image/jpeg\r\n\r\n"
             client.sendall(part + pictures[number % len(pictures)] + b"\r\n")
             time.sleep(1 / _FPS)

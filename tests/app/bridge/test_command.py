@@ -11,13 +11,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import cv2
-import httpx
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -31,7 +30,7 @@ from app.decoding import Frame
 from app.decoding.videos import VideoError
 from tests.app.bridge.cameras import MjpegCamera, RtspCamera
 from tests.app.bridge.servers import Service, Webhook, event, full_disk, serving
-from tests.conftest import ROOT, Server
+from tests.conftest import HTTP, ROOT, Server
 from tests.golden.pictures import EMPTY_YARD, STREET, STREET_MASK, WALKER, decode
 from tests.support.programs import children
 from tests.support.videos import noisy_frames, numbered_frames, write_video
@@ -284,9 +283,10 @@ def test_what_decodes_a_source_is_confined_and_holds_no_password_of_a_receiver(
     monkeypatch.setenv("WATCH_MQTT", "mqtt://user:s3cret@broker")
     camera = {"rtsp": RtspCamera, "http": MjpegCamera}.get(kind)
     if camera is None:
-        write_video(tmp_path / "long.avi", noisy_frames(200), fps=10)
-    with nullcontext(str(tmp_path / "long.avi")) if camera is None else camera() as address:
-        source = source_module.Source(address)
+        write_video(tmp_path / "long.avi", noisy_frames(20), fps=1)
+    with ExitStack() as stack:
+        address = stack.enter_context(camera()) if camera else str(tmp_path / "long.avi")
+        source = stack.enter_context(closing(source_module.Source(address)))
         assert next(source.frames(threading.Event())).pixels.shape == (240, 320, 3)
         processes = [Path(f"/proc/{number}") for number in children()]
         decoders = [
@@ -331,8 +331,8 @@ def test_a_fall_on_film_is_detected_by_a_real_service(
     write_video(tmp_path / "yard.avi", list(falling_walker()), fps=6)
     assert run([str(tmp_path / "yard.avi"), "yard", "--url", server.url]) == 0
     printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    kept = httpx.get(f"{server.url}/cameras/yard/events").json()["events"]
-    assert httpx.delete(f"{server.url}/cameras/yard").status_code == 204
+    kept = HTTP.get(f"{server.url}/cameras/yard/events").json()["events"]
+    assert HTTP.delete(f"{server.url}/cameras/yard").status_code == 204
     assert names(printed) == names(kept)
     assert names(printed)[0] == "entered"
     assert sorted(names(printed)[1:]) == ["fell", "lying"]

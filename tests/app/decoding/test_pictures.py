@@ -17,13 +17,7 @@ from app.decoding.pictures import Allowance, Workers
 from app.vision.images import ImageError, ImageTooLargeError, decode_image, is_expensive
 from app.vision.masks import decode_mask
 from tests.app.vision.encoded import encode, quadrants, tiff
-from tests.support.expensive import (
-    gif,
-    tiff_circle,
-    tiff_tags,
-    tiff_tile,
-    webp_animation,
-)
+from tests.support.expensive import gif, tiff_circle, tiff_tags, tiff_tile, webp_animation
 
 MAX_PIXELS = 12_500_000
 

@@ -15,13 +15,7 @@ from app.estimation.posture import (
 )
 from app.vision.geometry import Box
 from app.vision.judgement import FRAME_POSTURES, FramePosture
-from index.posture import (
-    ON_THE_GROUND,
-    POSTURES,
-    UPRIGHT,
-    PostureName,
-    vote_posture,
-)
+from index.posture import ON_THE_GROUND, POSTURES, UPRIGHT, PostureName, vote_posture
 
 some_weights = st.lists(st.floats(0.001, 1), min_size=len(POSTURES), max_size=len(POSTURES))
 some_probabilities = st.lists(

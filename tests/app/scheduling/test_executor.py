@@ -97,12 +97,16 @@ class TestFrames:
         assert await run(executor_of(1), work, lambda: to_thread.run_sync(begun.wait)) == 7
 
     async def test_the_deadline_covers_work_and_waiting(self) -> None:
-        executor = executor_of(1, timeout_s=0.4)
+        executor = executor_of(1, timeout_s=0.2)
         outcomes = []
+
+        def work(job: Job) -> None:
+            time.sleep(1)  # So that the other frame waits for longer than it may.
+            job.checkpoint()
 
         async def frame() -> None:
             with pytest.raises(BusyError) as caught:
-                await run(executor, until_cancelled)
+                await run(executor, work)
             outcomes.append(type(caught.value))
 
         with anyio.fail_after(60):

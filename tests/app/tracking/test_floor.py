@@ -323,11 +323,11 @@ def test_a_fall_is_likelier_where_the_person_lies_on_the_floor() -> None:
     assert known / (1 - known) == pytest.approx(4 * unknown / (1 - unknown))
 
 
-def test_a_session_says_that_who_fell_lies_on_the_floor(shipped: Estimator) -> None:
+def test_a_session_says_that_who_fell_lies_on_the_floor(estimator: Estimator) -> None:
     path = SHARED / "real" / "urfd" / "fall-11.mp4"
     if not path.exists():
         pytest.skip(f"no film {path}; set SHARED to the folder above real")
-    session = CameraSession(shipped)
+    session = CameraSession(estimator)
     frames = [track(session, frame, at, 0) for at, frame in frames_at(path, 5)]
     (begun,) = [
         event

@@ -34,11 +34,7 @@ from tests.golden import pictures
 
 class WithoutPoses(Estimator):
     def fit(
-        self,
-        people: Sequence[Person],
-        camera: PinholeCamera,
-        n: int,
-        job: Job,
+        self, people: Sequence[Person], camera: PinholeCamera, n: int, job: Job
     ) -> list[Person | None]:
         return list(people)
 

@@ -6,12 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from app.vision.optics import (
-    PinholeCamera,
-    place_on_sight_lines,
-    roll_rotation,
-    to_line_of_sight,
-)
+from app.vision.optics import PinholeCamera, place_on_sight_lines, roll_rotation, to_line_of_sight
 from tests.support.projection import project
 
 SHAPE = (720, 1280, 3)

@@ -15,11 +15,7 @@ from app.vision.optics import PinholeCamera
 from app.vision.people import Detection, Silhouette
 from app.vision.person_reader import PersonReader
 from app.vision.same_person import first_of_body
-from app.vision.silhouettes import (
-    DrawnSilhouette,
-    silhouettes_from_labels,
-    silhouettes_of,
-)
+from app.vision.silhouettes import DrawnSilhouette, silhouettes_from_labels, silhouettes_of
 from tests.app.painted import painted
 
 SHAPE = (240, 320, 3)

@@ -1,19 +1,14 @@
 """The paper's experiments: their data, what is counted, and the descriptors that are compared."""
 
+import importlib
+from types import ModuleType
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
 from descriptor.descriptor import DiagonalDescriptor
 from descriptor.silhouette import HEIGHT, WIDTH
-from scripts.experiments.paper import (
-    COUNTS,
-    PUBLISHED,
-    PUBLISHED_OF,
-    PUBLISHED_STDS_PX,
-    STDS_PX,
-    met_at_px,
-)
 from scripts.experiments.paper_data import DATA, errors_px, nearest, read_paper_data, recognised
 from scripts.index.descriptor_learning import view_joints
 from scripts.index.simulate import Simulation
@@ -25,6 +20,12 @@ Data = tuple[Simulation, Simulation]
 @pytest.fixture(scope="module")
 def data() -> Data:
     return read_paper_data()
+
+
+@pytest.fixture(scope="module")
+def paper() -> ModuleType:
+    """The experiments: imported here, since every process that collects tests would wait for it."""
+    return importlib.import_module("scripts.experiments.paper")
 
 
 def test_there_are_as_many_silhouettes_as_in_the_paper(data: Data) -> None:
@@ -56,18 +57,22 @@ def test_the_papers_descriptor_recognises_what_the_page_says(data: Data) -> None
     assert recognised(errors, 7) == pytest.approx(97.37, abs=0.2)
 
 
-def test_published_rates_are_shares_of_252_and_not_of_608() -> None:
-    for rate in {rate for n in COUNTS for rate in PUBLISHED[n]} - {100.0}:
-        shares = [round(100 * round(rate * of / 100) / of, 2) for of in (PUBLISHED_OF, 608)]
+def test_published_rates_are_shares_of_252_and_not_of_608(paper: ModuleType) -> None:
+    for rate in {rate for n in paper.COUNTS for rate in paper.PUBLISHED[n]} - {100.0}:
+        shares = [round(100 * round(rate * of / 100) / of, 2) for of in (paper.PUBLISHED_OF, 608)]
         assert shares[0] == rate != shares[1]
 
 
 @pytest.mark.parametrize("scale", [1, 2])
-def test_the_amplitude_that_meets_the_published_fall_is_interpolated(scale: int) -> None:
-    rates = np.interp(STDS_PX, scale * np.array(PUBLISHED_STDS_PX), PUBLISHED[1])
-    met = met_at_px({1: {"paper": rates.tolist()}})
+def test_the_amplitude_that_meets_the_published_fall_is_interpolated(
+    paper: ModuleType, scale: int
+) -> None:
+    stds_px = scale * np.array(paper.PUBLISHED_STDS_PX)
+    rates = np.interp(paper.STDS_PX, stds_px, paper.PUBLISHED[1])
+    met = paper.met_at_px({1: {"paper": rates.tolist()}})
     assert met == {"published_at_2": pytest.approx(2 * scale), "published_at_3": 3 * scale}
-    assert met_at_px({1: {"paper": [90.0] * len(STDS_PX)}})["published_at_3"] is None
+    level = paper.met_at_px({1: {"paper": [90.0] * len(paper.STDS_PX)}})
+    assert level["published_at_3"] is None
 
 
 @pytest.mark.slow

@@ -6,18 +6,9 @@ from numpy.testing import assert_array_equal
 
 pytest.importorskip("torch", reason="needs the build extra: torch")
 
-from index.network import (
-    AXES,
-    joint_positions,
-    network_input,
-)
+from index.network import AXES, joint_positions, network_input
 from index.store import PoseIndex
-from scripts.training.train_reranker import (
-    Examples,
-    TrainingConfig,
-    in_whole_numbers,
-    train,
-)
+from scripts.training.train_reranker import Examples, TrainingConfig, in_whole_numbers, train
 
 
 @pytest.fixture(scope="module")

@@ -11,13 +11,7 @@ from index.posture import POSTURES, classify_postures
 from index.skeleton import NATIVE
 from scripts.index.body import Avatar
 from scripts.index.motion import Clip, MotionError, Segment
-from scripts.index.poses import (
-    Poses,
-    joints_of,
-    laid_down,
-    read_poses,
-    side_of,
-)
+from scripts.index.poses import Poses, joints_of, laid_down, read_poses, side_of
 
 
 def test_takes_the_frames_of_the_segments(poses: Poses) -> None:
