@@ -67,13 +67,6 @@ class MoveNet(TfliteNetwork):
         return decode_heads(self.run(padded))
 
 
-KEYPOINT_WINDOW_PX = (256, 160)
-"""Sides of MoveNet's input for the window of one person; the longer one is along the person."""
-
-UPRIGHT_WINDOW_PX = (192, 128)
-"""The same for tracked people in upright boxes: 13 instead of 21 core-ms, and they are read as well
-as before (docs/notes/tracking.md). Of people who lie, fewer joints would be right."""
-
 _MIN_IOU = 0.2  # Overlap with the person's box from which a detection may be theirs.
 
 
@@ -83,21 +76,14 @@ class KeypointReader:
     def __init__(self, network: MoveNet) -> None:
         self._network = network
 
-    def read(
-        self, frame: Frame, box: Box, sides: tuple[int, int] = KEYPOINT_WINDOW_PX
-    ) -> ObservedKeypoints | None:
-        """Keypoints of the person in a tight box of a frame, pixels; None if there is nobody.
-
-        ``sides`` are those of the network's input, the longer one first.
-        """
+    def read(self, frame: Frame, box: Box) -> ObservedKeypoints | None:
+        """Keypoints of the person in a tight box of a frame, pixels; None if there is nobody."""
         pixels, seen = seen_at(frame, _ENOUGH_PX / max(keypoint_window(box)[0][2:]))
-        keypoints = self._read(pixels, box.scaled(seen), sides)
+        keypoints = self._read(pixels, box.scaled(seen))
         return keypoints and keypoints.scaled(1 / seen)
 
-    def _read(
-        self, frame: NDArray[np.uint8], box: Box, sides: tuple[int, int]
-    ) -> ObservedKeypoints | None:
-        rect, columns, rows = keypoint_window(box, sides)
+    def _read(self, frame: NDArray[np.uint8], box: Box) -> ObservedKeypoints | None:
+        rect, columns, rows = keypoint_window(box)
         people = self._network.detect(crop_and_resize(frame, rect, columns, rows))
         scale = rect[2] / columns
         inside = Box(box.x - rect[0], box.y - rect[1], box.width, box.height).scaled(1 / scale)
@@ -173,6 +159,9 @@ def _longer_side(one: Detection, picture: Picture) -> float:
     return max(one.box.width, one.box.height) * picture.tiles[0].factor
 
 
+KEYPOINT_WINDOW_PX = (256, 160)
+"""Sides of MoveNet's input for the window of one person; the longer one is along the person."""
+
 # Size of a person's window in the frame from which it may be enlarged for the network: input of
 # this size gives poses as good as any larger one does, to 1 mm of 107 (Pose2Sim's cameras).
 _ENOUGH_PX = 160
@@ -181,11 +170,9 @@ KEYPOINT_WINDOW_SCALE = 1.25
 """Size of that window relative to the person's box."""
 
 
-def keypoint_window(
-    box: Box, sides: tuple[int, int] = KEYPOINT_WINDOW_PX
-) -> tuple[PixelRect, int, int]:
+def keypoint_window(box: Box) -> tuple[PixelRect, int, int]:
     """Window about a box in whole pixels, and the columns and rows of MoveNet's input for it."""
-    long_px, short_px = sides
+    long_px, short_px = KEYPOINT_WINDOW_PX
     columns, rows = (long_px, short_px) if box.width > box.height else (short_px, long_px)
     scale = KEYPOINT_WINDOW_SCALE * max(box.width / columns, box.height / rows)
     width, height = max(1, round(scale * columns)), max(1, round(scale * rows))

@@ -21,7 +21,7 @@ from app.vision.blazepose import LANDMARK_PX, LandmarkNetwork, MaskNetwork, Pose
 from app.vision.geometry import Box, PersonWindow, transform_points
 from app.vision.halved import Frame, whole
 from app.vision.judgement import JudgedReading, PhotographModels
-from app.vision.movenet import KEYPOINT_WINDOW_PX, UPRIGHT_WINDOW_PX, KeypointReader
+from app.vision.movenet import KeypointReader
 from app.vision.optics import PinholeCamera
 from app.vision.people import (
     COCO_LANDMARKS,
@@ -132,9 +132,7 @@ class PersonReader:
         """
         alone = self.network.read(frame, window)
         if seen is None or sides_exchanged(alone, seen.before):
-            box = alone.landmarks.box()
-            sides = UPRIGHT_WINDOW_PX if box.height > box.width else KEYPOINT_WINDOW_PX
-            looked = self.keypoint_reader.read(frame, box, sides)
+            looked = self.keypoint_reader.read(frame, alone.landmarks.box())
             found = replace(found, keypoints=looked)
             reading = self._with_keypoints(alone, camera, looked)
             is_doubtful = not agrees(reading, looked)

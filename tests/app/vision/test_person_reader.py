@@ -240,7 +240,7 @@ class Sees:
     ) -> None:
         self.readings, self.other, self.keypoints = readings, other, at
 
-    def read(self, frame: NDArray[np.uint8], where: PersonWindow | Box, *_sides: object) -> Any:
+    def read(self, frame: NDArray[np.uint8], where: PersonWindow | Box) -> Any:
         if isinstance(where, Box):
             return self.keypoints
         return self.readings.get(where, self.other)
