@@ -54,14 +54,15 @@ class PoseHypothesis:
 
     Parameters
     ----------
-    label : Label
+    entry_id, mirrored
         The entry at the centre of those that agree on this pose (with landmarks, one with a near
-        silhouette and the usual action among them). The roll is that of its camera in the picture
-        of one that is not rolled.
+        silhouette and the usual action among them), and whether this is its mirror image.
     silhouette_distance : float
         Euclidean distance from the query's descriptor to the interpolated one of these entries.
     confidence : float
         Probability that the hypothesis is right; see :mod:`index.confidence`.
+    label : Label
+        That of the entry; the roll is that of its camera in the picture of one that is not rolled.
     points_3d : (24, 3) float64 array
         Axes of the line of sight, metres, origin at the pelvis; rows are ``POINT_NAMES``. Once
         placed in a photograph, in the camera's axes and the person's size.
@@ -92,9 +93,11 @@ class PoseHypothesis:
         What the confidence follows from; see :mod:`index.confidence`.
     """
 
-    label: Label
+    entry_id: int
+    mirrored: bool
     silhouette_distance: float
     confidence: float
+    label: Label
     points_3d: NDArray[np.float64]
     points_2d: NDArray[np.float64]
     posture: PostureName = "standing"
@@ -176,6 +179,8 @@ class Query:
         rotation_deg, tilt_deg = self.rotations(entries)
         points_3d = rotate_clockwise(modes.points_3d, -self.roll_deg)
         columns |= {
+            "entry_id": entries.entry_ids,
+            "mirrored": entries.mirrored,
             "silhouette_distance": modes.distances,
             "points_3d": points_3d,
             "points_2d": modes.points_normalised,
@@ -184,10 +189,14 @@ class Query:
         }
         rows = zip(*(c.tolist() if c.ndim == 1 else c for c in columns.values()), strict=True)
         postures = self._postures(entries.entry_ids, points_3d, tilt_deg)
-        seen = (entries.entry_ids, entries.mirrored, tilt_deg)
         labels = [
             replace(self.index.label(entry_id, mirrored=mirrored), roll_deg=roll_deg)
-            for entry_id, mirrored, roll_deg in zip(*(one.tolist() for one in seen), strict=True)
+            for entry_id, mirrored, roll_deg in zip(
+                entries.entry_ids.tolist(),
+                entries.mirrored.tolist(),
+                tilt_deg.tolist(),
+                strict=True,
+            )
         ]
         return [
             PoseHypothesis(posture=posture, label=label, **dict(zip(columns, row, strict=True)))

@@ -88,7 +88,7 @@ def draw_poses(frame: Picture, index: PoseIndex, person: Person) -> list[Cell]:
             normalised = NormalisedPerson.of(silhouette, person.landmarks)
             entry, to_frame = place_entry(index, normalised, hypothesis)
             drawn = _warped(entry, np.asarray(to_cell @ np.vstack([to_frame, [0, 0, 1]])))
-            cells.append((f"{rank}: entry {hypothesis.label.entry_id}", drawn))
+            cells.append((f"{rank}: entry {hypothesis.entry_id}", drawn))
         skeleton = sample_window(frame, window, CELL_PX)
         points = hypothesis.points_2d[list(NATIVE.indices)]
         draw_skeleton(skeleton, points @ to_cell[:, :2].T + to_cell[:, 2], NATIVE, 3)
@@ -115,10 +115,9 @@ def describe(number: int, person: Person) -> str:
     ]
     for rank, one in enumerate(person.hypotheses, start=1):
         lines.append(
-            f"  {rank:4d}  {one.label.entry_id:6d}  {one.silhouette_distance:8.2f}  "
-            f"{one.distance:5.2f}  {one.reprojection_error_px:10.1f}  "
-            f"{1000 * one.adjusted_m:8.0f}  {one.confidence:10.2f}  "
-            f"{one.label.clip}, frame {one.label.frame}"
+            f"  {rank:4d}  {one.entry_id:6d}  {one.silhouette_distance:8.2f}  {one.distance:5.2f}  "
+            f"{one.reprojection_error_px:10.1f}  {1000 * one.adjusted_m:8.0f}  "
+            f"{one.confidence:10.2f}  {one.label.clip}, frame {one.label.frame}"
         )
     return "\n".join(lines)
 

@@ -48,8 +48,8 @@ def place_entry(
     The silhouette ``(128, 48)`` is mirrored where its hypothesis is; the affine transform
     ``(2, 3)`` leads from its pixels to pixels of the frame, rotated as the hypothesis is.
     """
-    silhouette = index.silhouette(hypothesis.label.entry_id)
-    if hypothesis.label.mirrored:
+    silhouette = index.silhouette(hypothesis.entry_id)
+    if hypothesis.mirrored:
         silhouette = np.ascontiguousarray(silhouette[:, ::-1])
     query = RotatedQuery.of(person.silhouette, hypothesis.rotation_deg + person.roll_deg)
     to_frame = person.to_frame @ np.vstack([query.to_query, [0, 0, 1]])

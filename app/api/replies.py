@@ -244,7 +244,7 @@ def _hypothesis(hypothesis: PoseHypothesis, rank: int, form: ReplyForm) -> schem
     # an answer takes, and the values are our own. The tests validate whole answers.
     return schemas.Hypothesis.model_construct(
         rank=rank,
-        entry=hypothesis.label.entry_id,
+        entry=hypothesis.entry_id,
         distance=significant(hypothesis.distance),
         silhouette_distance=round(hypothesis.silhouette_distance, 4),
         reprojection_error_px=round(hypothesis.reprojection_error_px, 3),

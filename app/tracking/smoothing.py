@@ -148,7 +148,7 @@ class PoseSmoother:
             smoothed_3d,
             np.einsum("n,npd->pd", weights, np.array([placed.points_2d for placed in hypotheses])),
             probability_of(odds),
-            hypotheses[int(probabilities.argmax())].label.entry_id,
+            hypotheses[int(probabilities.argmax())].entry_id,
             vote_posture(
                 [posture_in_motion(posture, motion.velocity) for posture in postures],
                 probabilities.tolist(),

@@ -97,7 +97,7 @@ def test_one_thread_and_two_give_the_same_answer(
         monkeypatch.setattr("app.photograph.available_cores", lambda t=threads: t)
         estimator = load_estimator(settings, lambda: tiny_index)
         people = estimator.estimate(Upload(STREET), 7, job).persons
-        answers.append([(h.label.entry_id, h.distance, *h.points_2d.ravel())
+        answers.append([(h.entry_id, h.distance, *h.points_2d.ravel())
                         for person in people for h in person.hypotheses])  # fmt: skip
     executor.shut_down()
     assert len(answers[0]) >= 3 * 7
@@ -113,7 +113,7 @@ def test_the_rounding_of_networks_changes_no_first_hypothesis(
     def first() -> list[tuple[int, bool]]:
         found = [shipped.estimate(Upload(one), 1, Job()).persons for one in photographs]
         best = [person.hypotheses[0] for people in found for person in people]
-        return [(one.label.entry_id, one.label.mirrored) for one in best]
+        return [(one.entry_id, one.mirrored) for one in best]
 
     before, run, rng = first(), TfliteNetwork.run, np.random.default_rng(0)
 

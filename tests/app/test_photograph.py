@@ -96,8 +96,8 @@ def test_of_a_photograph_beside_a_mask_silhouette_evidence_needs_the_size_alone(
     for frame in (jpeg, jpeg[:2000]):
         (person,) = persons(estimator, Upload(frame, mask=mask), "silhouette")
         (alone,) = persons(estimator, Upload(mask=mask), "silhouette")
-        assert [one.label.entry_id for one in person.hypotheses] == [
-            one.label.entry_id for one in alone.hypotheses
+        assert [one.entry_id for one in person.hypotheses] == [
+            one.entry_id for one in alone.hypotheses
         ]
     for reason, other in (("undecodable", jpeg[:100]), ("misfit", png(street[1:]))):
         with pytest.raises(UploadError) as error:

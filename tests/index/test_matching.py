@@ -69,7 +69,7 @@ def test_known_poses_in_new_views_are_recognised(
 @pytest.mark.parametrize("number", QUERIES)
 def test_own_silhouette_comes_first(toy_index: PoseIndex, number: int) -> None:
     best = best_hypotheses(toy_index, toy_index.silhouette(number), 3)[0]
-    assert best.label.entry_id == number
+    assert best.entry_id == number
     assert best.silhouette_distance == pytest.approx(0, abs=1e-3)
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
     # The pose of the entry, averaged with near neighbours of the same mode.
@@ -100,7 +100,7 @@ def test_hypotheses_are_ascending_distinct_and_finite(
     assert_allclose(
         [h.distance for h in first], np.maximum.accumulate([h.silhouette_distance for h in first])
     )
-    assert len({(h.label.entry_id, h.label.mirrored) for h in first}) == len(first)
+    assert len({(h.entry_id, h.mirrored) for h in first}) == len(first)
     assert_later_poses_are_new(found)
     joints = np.stack([h.points_3d[:JOINTS] for h in first])
     apart = np.sqrt(((joints[:, None] - joints[None]) ** 2).sum(axis=-1).mean(axis=-1))
@@ -113,7 +113,7 @@ def test_hypotheses_are_ascending_distinct_and_finite(
         assert hypothesis.silhouette_distance >= 0
         assert hypothesis.reprojection_error_px >= 0
     again = best_hypotheses(toy_index, silhouette, n)
-    assert [h.label.entry_id for h in again] == [h.label.entry_id for h in found]
+    assert [h.entry_id for h in again] == [h.entry_id for h in found]
 
 
 def test_more_hypotheses_requested_than_exist(tiny_index: PoseIndex) -> None:
@@ -145,7 +145,7 @@ class TestRolledQueries:
             roll_deg = roll_of(ground_index, number)
             found = best_of(ground_index, ground_index.silhouette(number), roll_deg)
             entry = ground_index.entry(number)
-            assert (found.label.entry_id, found.label.mirrored) == (number, False)
+            assert (found.entry_id, found.mirrored) == (number, False)
             assert found.reprojection_error_px == pytest.approx(0, abs=1e-6)
             assert found.rotation_deg == pytest.approx(-roll_deg)
             assert found.label.roll_deg == pytest.approx(0, abs=1e-4)
@@ -158,7 +158,7 @@ class TestRolledQueries:
             roll_deg, silhouette = roll_of(ground_index, number), ground_index.silhouette(number)
             here = best_of(ground_index, silhouette, roll_deg)
             there = best_of(ground_index, silhouette[::-1, ::-1], roll_deg + 180)
-            assert there.label.entry_id == here.label.entry_id
+            assert there.entry_id == here.entry_id
             assert there.posture == here.posture
             assert there.label.roll_deg == pytest.approx(here.label.roll_deg, abs=1e-4)
             assert joint_error(there.points_3d, here.points_3d) < 0.03
@@ -203,7 +203,7 @@ def test_alternatives_in_depth_have_the_joints_of_the_first_in_the_picture(
             assert one.reprojection_error_px == first.reprojection_error_px
             assert_allclose(one.points_3d[:, :2], first.points_3d[:, :2])
             assert joint_error(one.points_3d, first.points_3d) > 0.02
-            entry, _ = points_of(toy_index, one.label.entry_id, mirrored=one.label.mirrored)
+            entry, _ = points_of(toy_index, one.entry_id, mirrored=one.mirrored)
             own = rotate_clockwise(entry, one.rotation_deg)
             assert joint_error(one.points_3d, own) == pytest.approx(one.adjusted_m, abs=1e-6)
 
@@ -218,9 +218,7 @@ def test_hypotheses_move_along_with_landmarks(toy_index: PoseIndex, new_views: l
         points[wrist, 1] -= 6
         moved = moved_along(found, landmarks_of(points, in_space), 0.0).hypotheses
         for before, after in zip(found.hypotheses, moved, strict=True):
-            assert (
-                after.label.entry_id == before.label.entry_id and after.in_depth == before.in_depth
-            )
+            assert after.entry_id == before.entry_id and after.in_depth == before.in_depth
             if before.in_depth:
                 assert_allclose(
                     after.points_3d - moved[0].points_3d,
@@ -260,7 +258,7 @@ def test_mirror_image_of_an_entry_is_found_with_its_landmarks(
     silhouette = np.ascontiguousarray(toy_index.silhouette(number)[:, ::-1])
     landmarks = landmarks_of(points, points_3d)
     best = likeliest(match_landmarks(toy_index, silhouette, 7, landmarks))
-    assert (best.label.entry_id, best.label.mirrored) == (number, True)
+    assert (best.entry_id, best.mirrored) == (number, True)
     assert joint_error(best.points_2d, points) < 1
     assert joint_error(best.points_3d, points_3d) < 0.01
     assert best.reprojection_error_px == pytest.approx(0, abs=1e-6)
@@ -326,7 +324,7 @@ def test_twin_of_the_first_is_one_of_seven_unless_another_is_near(
             assert_allclose(twin.points_3d, exchange_sides(first.points_3d) * [1, 1, -1])
             assert twin.distance >= first.distance
             assert twin.confidence <= first.confidence
-            assert (twin.label.entry_id, twin.posture) == (first.label.entry_id, first.posture)
+            assert (twin.entry_id, twin.posture) == (first.entry_id, first.posture)
             # What the twin displaces is found again in a later batch.
             later = np.array([one.points_3d for one in found.hypotheses[DEFAULT_HYPOTHESES:]])
             assert mean_joint_distance(found.voters[-1].points_3d, later).min() < DISTINCT_M

@@ -84,14 +84,14 @@ def test_hypotheses_are_entries_as_they_are_nearest_first(tiny_index: PoseIndex)
         assert one.adjusted_m == pytest.approx(0, abs=1e-9)
         assert 0 < one.confidence < 1
     few = match_nearest(tiny_index, silhouette, 3).hypotheses
-    assert [one.label.entry_id for one in few] == [one.label.entry_id for one in found[: len(few)]]
+    assert [one.entry_id for one in few] == [one.entry_id for one in found[: len(few)]]
 
 
 @pytest.mark.parametrize("entry", [0, 8, 33])
 def test_an_entry_is_nearest_to_its_own_silhouette(tiny_index: PoseIndex, entry: int) -> None:
     found = match_nearest(tiny_index, tiny_index.silhouette(entry), 7)
     best = found.hypotheses[0]
-    assert (best.label.entry_id, best.label.mirrored) == (entry, False)
+    assert (best.entry_id, best.mirrored) == (entry, False)
     assert best.distance == pytest.approx(0, abs=1e-3)
     assert best.reprojection_error_px == 0
     assert best.confidence == max(one.confidence for one in found.hypotheses)

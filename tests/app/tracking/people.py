@@ -56,7 +56,7 @@ def person_of(
     for entry, (pose, confidence) in enumerate(zip(poses, confidences, strict=True)):
         label = Label(entry, action, "07_01", "avatar", 0, False, 0.0, elevation_deg, 0.0, 8.0)
         hypothesis = PoseHypothesis(
-            silhouette_distance=1.0, reprojection_error_px=1.0,
+            entry_id=entry, mirrored=False, silhouette_distance=1.0, reprojection_error_px=1.0,
             confidence=confidence, points_3d=pose,
             posture=postures[entry] if postures else "standing", distance=1.0,
             label=label, points_2d=np.array(centre) + PX_PER_M * pose[:, :2],

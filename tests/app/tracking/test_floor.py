@@ -13,7 +13,7 @@ from app.photograph import Estimator
 from app.tracking.floor import Floor, Height, Rest
 from app.tracking.results import Event
 from app.tracking.track import Track
-from app.vision.geometry import Box
+from app.vision.geometry import Box, PersonWindow
 from app.vision.judgement import FRAME_POSTURES, FramePosture, Trust
 from app.vision.optics import PinholeCamera, to_line_of_sight
 from app.vision.people import LANDMARK_NAMES, Landmarks, Silhouette, landmark_rows
@@ -298,7 +298,8 @@ def fallen(scene: Scene, floor: Floor | None) -> tuple[list[float | None], list[
     track, said, events = Track(people[0], 0.0), list[float | None](), list[Event]()
     track.confirm(1, 0.0, ())
     for number, person in enumerate(people):
-        seen = replace(person, silhouette=silhouette, presence=1.0)
+        window = PersonWindow.about_box(person.box)
+        seen = replace(person, silhouette=silhouette, next_window=window)
         track.see(seen, number / 5)
         tracked, new = track.update(seen, number / 5, frame=frame, floor=floor)
         said.append(tracked.on_floor)
