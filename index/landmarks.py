@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from index.skeleton import (
     LIMB_HIPS,
     LIMB_ROWS,
+    LIMBS,
     OTHER_SIDE,
     POINTS,
     bone_lengths,
@@ -51,6 +52,22 @@ class NormalisedLandmarks:
     limb_covariance: NDArray[np.float64]
     whole: bool = True  # whether the photograph shows the person from head to feet
     sigma_px: float = _SIGMA_PX  # standard deviation of a point about its landmark in the picture
+
+    def __post_init__(self) -> None:
+        count, limbs = len(self.rows), len(LIMBS)
+        arrays = (
+            self.positions, self.scores, self.limbs_3d, self.limb_scores, self.limb_covariance
+        )  # fmt: skip
+        shapes, expected = (
+            tuple(a.shape for a in arrays),
+            ((count, 2), (count,), (limbs, 3), (limbs,), (limbs, limbs)),
+        )
+        if shapes != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
+        if not count or not all(0 <= row < POINTS for row in self.rows):
+            raise ValueError(f"expected rows from 0 to {POINTS - 1}, got {self.rows}")
+        if not ((self.scores > 0) & (self.scores <= 1)).all():
+            raise ValueError(f"expected scores above 0 and at most 1, got {self.scores}")
 
     def compare(
         self, points_normalised: NDArray[np.floating], points_3d: NDArray[np.floating]

@@ -25,7 +25,7 @@ from index.posture import (
     lying_elevation_deg,
     vote_posture,
 )
-from index.skeleton import mean_joint_distance, rotate_clockwise, wrap_degrees
+from index.skeleton import POINTS, mean_joint_distance, rotate_clockwise, wrap_degrees
 from index.store import Label, PoseIndex
 
 DEFAULT_HYPOTHESES = 7
@@ -109,6 +109,13 @@ class PoseHypothesis:
     in_depth: bool = False
     twin: bool = False
     features: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
+
+    def __post_init__(self) -> None:
+        if self.points_3d.shape != (POINTS, 3) or self.points_2d.shape != (POINTS, 2):
+            raise ValueError(
+                f"expected points of shapes ({POINTS}, 3) and ({POINTS}, 2), "
+                f"got {self.points_3d.shape} and {self.points_2d.shape}"
+            )
 
 
 @dataclass(frozen=True)

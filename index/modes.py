@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from index.candidates import Candidates
 from index.landmarks import Agreement, NormalisedLandmarks
-from index.skeleton import JOINTS, LIMBS, with_bone_lengths_of
+from index.skeleton import JOINTS, LIMBS, POINTS, with_bone_lengths_of
 
 DISTINCT_M = 0.11
 """Smallest root mean square joint distance between the centres of two modes; half of it is enough
@@ -60,6 +60,13 @@ class Modes:
     distances: NDArray[np.float64]
     points_3d: NDArray[np.float64]
     points_normalised: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        count = len(self.centres)
+        expected = ((count,),) * 2 + ((count, POINTS, 3), (count, POINTS, 2))
+        got = tuple(array.shape for array in vars(self).values())
+        if got != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {got}")
 
     def __len__(self) -> int:
         return len(self.centres)

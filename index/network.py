@@ -435,6 +435,13 @@ class RankingModel:
     spread: tuple[float, float, float] = (3.0, 3.0, 0.04)
     postures: PostureNetwork | None = None  # without one, hypotheses vote on the posture
 
+    def __post_init__(self) -> None:
+        if self.calibration.features != RERANKING_FEATURES:
+            raise ValueError(
+                f"expected a calibration over {', '.join(RERANKING_FEATURES)}, "
+                f"got one over {', '.join(self.calibration.features)}"
+            )
+
     @classmethod
     def of(cls, network: JointNetwork) -> RankingModel:
         """A network without a fitted confidence: every hypothesis gets 0.5."""

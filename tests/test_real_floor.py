@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
     reason=f"no photographs to evaluate in {REAL}; set SHARED to the folder above it",
 )
 
-LSP_EACH, FRAMES_EACH, FALLS = 8, 4, {"fall": 24, "not-fall": 12}
+LSP_EACH, FRAMES_EACH, FALLS = 8, 4, {"fall": 40, "not-fall": 24}
 LSP_FLOORS = {
     "upright": (95.0, 72.0, 67.5),
     "horizontal": (95.0, 69.6, 60.0),
@@ -60,9 +60,9 @@ def test_sports_photographs(shipped: Estimator, athletes: list[Athlete], orienta
 @pytest.mark.parametrize("kind", FALLS)
 def test_photographs_of_falls(shipped: Estimator, kind: str) -> None:
     found = fallen(shipped, evenly(sorted((REAL / "falls" / kind).glob("*.jpg")), FALLS[kind]))
-    assert found["found"] >= 91  # Measured: 96 and 100.
+    assert found["found"] >= 95
     if kind == "fall":
-        assert found["on_the_ground"] >= 75  # Measured: 79; 76 of all photographs.
+        assert found["on_the_ground"] >= 75  # Measured: 82; 76 of all photographs.
     else:
         assert found["on_the_ground"] <= 6  # Measured: 0; 4 of all photographs.
 

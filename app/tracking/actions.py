@@ -70,6 +70,15 @@ class ActionModel:
     offsets: NDArray[np.float64]
     vote_weight: float  # weight of the log of the hypotheses' votes
 
+    def __post_init__(self) -> None:
+        if self.weights.ndim != 2 or not (
+            len(self.actions) == len(self.weights) == len(self.offsets)
+        ):
+            raise ValueError(
+                f"expected weights and an offset for each of {len(self.actions)} actions, "
+                f"got {self.weights.shape} and {self.offsets.shape}"
+            )
+
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[Any]]) -> ActionModel:
         return cls(

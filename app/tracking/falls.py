@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -161,6 +162,21 @@ class FallModel:
     grid_s: NDArray[np.float64]
     weights: tuple[NDArray[np.float32], ...]
     offsets: tuple[NDArray[np.float32], ...]
+
+    def __post_init__(self) -> None:
+        networks = len(self.weights[0])
+        sizes = [COLUMNS, *(offset.shape[-1] for offset in self.offsets)]
+        points = -(-len(self.grid_s) // np.prod(_STRIDES))
+        factors = [3, 3, int(points), 1]
+        expected = [
+            (networks, n * a, b) for n, (a, b) in zip(factors, pairwise(sizes), strict=False)
+        ]
+        got = [weight.shape for weight in self.weights]
+        if len(sizes) != 5 or sizes[-1] != 2 or got != expected:
+            raise ValueError(
+                f"expected weights Nx{3 * COLUMNS}x... of two convolutions and two layers, "
+                f"got {got}"
+            )
 
     @classmethod
     def of(cls, arrays: Mapping[str, NDArray[np.generic]], memory: str) -> Self:

@@ -84,6 +84,15 @@ class NetworkPass:
     middle: NDArray[np.float32]  # (8, 8, 144): feature map
     last: NDArray[np.float32]  # (2, 2, 288): feature map
 
+    def __post_init__(self) -> None:
+        shapes = (self.points.shape, self.world.shape)
+        maps = (self.middle.shape, self.last.shape)
+        if shapes != ((_POINTS, 5), (_POINTS, 3)) or maps != MAP_SHAPES:
+            raise ValueError(
+                f"expected points (39, 5), world (39, 3) and maps {MAP_SHAPES}, "
+                f"got {shapes} and {maps}"
+            )
+
     @cached_property
     def sampled(self) -> NDArray[np.float32]:
         """The middle map at the landmarks ``(33, 144)``."""

@@ -51,6 +51,10 @@ class FramePosture:
 
     probabilities: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        if self.probabilities.shape != (len(FRAME_POSTURES),):
+            raise ValueError(f"expected six probabilities, got {self.probabilities.shape}")
+
     def of(self, name: str) -> float:
         return float(self.probabilities[FRAME_POSTURES.index(name)])
 

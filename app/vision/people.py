@@ -59,6 +59,14 @@ class ObservedKeypoints:
     positions: NDArray[np.float64]  # (17, 2): pixels, x before y; rows are :data:`COCO_NAMES`
     scores: NDArray[np.float64]  # (17,): confidence of each, 0 to 1
 
+    def __post_init__(self) -> None:
+        count = len(COCO_NAMES)
+        if self.positions.shape != (count, 2) or self.scores.shape != (count,):
+            raise ValueError(
+                f"expected positions of shape ({count}, 2) and scores of shape ({count},), "
+                f"got {self.positions.shape} and {self.scores.shape}"
+            )
+
     def scaled(self, factor: float) -> ObservedKeypoints:
         return ObservedKeypoints(factor * self.positions + (factor - 1) / 2, self.scores)
 
@@ -85,6 +93,14 @@ class Landmarks:
         default_factory=lambda: NETWORK_DEPTH_SD_M**2 * np.eye(len(LANDMARK_NAMES))
     )
 
+    def __post_init__(self) -> None:
+        count = len(LANDMARK_NAMES)
+        arrays = self.positions, self.visibility, self.metres, self.depth_covariance
+        shapes = tuple(array.shape for array in arrays)
+        expected = ((count, 2), (count,), (count, 3), (count, count))
+        if shapes != expected:
+            raise ValueError(f"expected arrays of shapes {expected}, got {shapes}")
+
     @property
     def depth_sd(self) -> NDArray[np.float64]:
         """Standard deviations ``(33,)`` of the errors of the depths, metres."""
@@ -107,6 +123,10 @@ class Detection:
     keypoints: ObservedKeypoints | None = None
     # Windows in which the detector sees the whole body, the likeliest first; may be empty.
     windows: tuple[PersonWindow, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.score <= 1:
+            raise ValueError(f"expected a score from 0 to 1, got {self.score}")
 
 
 @dataclass(frozen=True)

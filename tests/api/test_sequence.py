@@ -20,7 +20,7 @@ from tests.support.videos import numbered_frames, write_video
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory: pytest.TempPathFactory, photo: Photo) -> bytes:
-    """Four frames of a person who stands still, at 10 fps."""
+    """Four frames of a standing person, at 10 fps."""
     return write_video(tmp_path_factory.mktemp("video") / "v.avi", [photo.frame] * 4)
 
 

@@ -112,7 +112,7 @@ def test_an_answer_that_trickles_ends_at_the_deadline(
         began = time.monotonic()
         with pytest.raises(UnavailableError, match=r"took too long|timed out"):
             hook.send(message())
-        assert time.monotonic() - began < 20
+        assert time.monotonic() - began < 3
 
 
 def test_of_an_endless_answer_only_the_beginning_is_read() -> None:

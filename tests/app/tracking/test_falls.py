@@ -307,10 +307,13 @@ def test_a_watch_forgets_what_is_older_than_its_window() -> None:
     assert len(watch._seen) <= 15 * WINDOW_S + 2
 
 
-def test_the_models_are_small() -> None:
+def test_the_models_are_small_and_arrays_of_another_shape_are_refused() -> None:
     assert file_of("falls").stat().st_size < 350_000
     for model in shipped_models():
         assert sum(map(np.size, model.weights)) < 3 * 32_000
+        wrong = tuple(weight[:, : COLUMNS + 1] for weight in model.weights)
+        with pytest.raises(ValueError, match="expected weights Nx60x"):
+            FallModel(model.grid_s, wrong, model.offsets)
 
 
 @pytest.mark.parametrize("model", shipped_models(), ids=MEMORIES)

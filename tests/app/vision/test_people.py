@@ -4,13 +4,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from app.vision.geometry import Box
 from app.vision.people import (
     COCO_LANDMARKS,
     COCO_NAMES,
     LANDMARK_NAMES,
+    Detection,
+    Landmarks,
+    ObservedKeypoints,
     Silhouette,
     silhouette_from_mask,
 )
@@ -37,13 +39,19 @@ def test_coco_keypoints_are_the_landmarks_of_their_names() -> None:
 
 
 @pytest.mark.parametrize(
-    ("crop", "left", "message"),
+    ("make", "arguments", "message"),
     [
-        (MASK, 0, "tight crop"),
-        (MASK.astype(np.uint8), 0, "dtype bool"),
-        (MASK[1:2, 2:4], -1, "inside the frame"),
+        (Silhouette, (MASK, 0, 0, "mask", False), "tight crop"),
+        (Silhouette, (MASK.astype(np.uint8), 0, 0, "mask", False), "dtype bool"),
+        (Silhouette, (MASK[1:2, 2:4], -1, 0, "mask", False), "inside the frame"),
+        (Detection, (Box(0, 0, 1, 1), 1.5), "0 to 1"),
+        *((ObservedKeypoints, (np.zeros((rows, 2)), np.zeros(scores)), "positions of shape")
+          for rows, scores in ((16, 17), (17, 16), (0, 0))),
+        *((Landmarks, (np.zeros((rows, 2)), np.zeros(scores), np.zeros((depths, 3))),
+           "expected arrays of shapes")
+          for rows, scores, depths in ((32, 33, 33), (33, 32, 33), (33, 33, 32))),
     ],
-)
-def test_a_crop_that_is_none_is_refused(crop: NDArray[Any], left: int, message: str) -> None:
+)  # fmt: skip
+def test_invalid_values_are_refused(make: type, arguments: tuple[Any, ...], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Silhouette(crop, left, 0, "mask", False)
+        make(*arguments)
