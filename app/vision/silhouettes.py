@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from app.vision.blazepose import LANDMARK_PX, PoseReading
 from app.vision.geometry import Box, crop, resize, shrink_quickly
 from app.vision.masks import MIN_FILL, LabelImage, cleaned
-from app.vision.people import Detection, Silhouette, landmark_rows, silhouette_from_mask
+from app.vision.people import (
+    Detection,
+    SegmenterName,
+    Silhouette,
+    landmark_rows,
+    silhouette_from_mask,
+)
 from app.vision.truncation import extended_to_border, with_truncation
 
 
@@ -162,11 +168,25 @@ def _cut_by_mask(
         theirs = _probability(rival, to_frame, size)
         mask &= own > theirs if wins_ties else own >= theirs
     mask = cleaned(mask, max_hole=0.01)
+    return _enlarged(mask, (left, top, width, height), width * height, "network")
+
+
+def _enlarged(
+    mask: NDArray[np.bool_],
+    region: tuple[int, int, int, int],
+    box_area: float,
+    segmenter: SegmenterName,
+) -> Silhouette | None:
+    """The silhouette of a mask that was drawn smaller over a region of the frame.
+
+    None if it fills too little of the person's box.
+    """
+    left, top, width, height = region
     # Least share of a person's pixel that the drawn mask covers.
     inside = cv2.resize(mask.astype(np.float32), (width, height)) >= 0.5
-    if np.count_nonzero(inside) < MIN_FILL * inside.size:
+    if np.count_nonzero(inside) < MIN_FILL * box_area:
         return None
-    return silhouette_from_mask(inside, left=left, top=top, segmenter="network")
+    return silhouette_from_mask(inside, left=left, top=top, segmenter=segmenter)
 
 
 def _probability(
@@ -339,10 +359,7 @@ def _cut_by_colour(
     cv2.grabCut(image, labels, (0, 0, *size), *models, 2, cv2.GC_INIT_WITH_MASK)
     mask = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
     mask = cleaned(mask, max_hole=0.02)
-    inside = cv2.resize(mask.astype(np.float32), (width, height)) >= 0.5
-    if np.count_nonzero(inside) < MIN_FILL * box.area:
-        return None
-    return silhouette_from_mask(inside, left=left, top=top, segmenter="grabcut")
+    return _enlarged(mask, (left, top, width, height), box.area, "grabcut")
 
 
 def _expected(
