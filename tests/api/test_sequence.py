@@ -198,6 +198,7 @@ def test_sigterm_ends_a_video_with_a_line_and_finishes_all_frames(
             narrow.process.terminate()
             *_, last = lines
         assert [answer.result() for answer in answers] == [200, 200, 200]
+    assert narrow.process.wait(timeout=60) == 0  # A second signal would end it with another status.
     end = SequenceEnd.model_validate_json(last)
     assert end.reason == "shutdown"
     assert 0 < end.frames < 1000
